@@ -1,0 +1,129 @@
+"""The data that flows through InsTok3D: one frozen dataclass for each stage, in order.
+
+Photos (`Views`) -> `Geometry` (features and pointmaps) -> `Context` (one token a patch)
+-> `Anchors` -> `TokenGroups` (groups, assignment, `Gaussians`) -> `Rendering`.
+
+OpenCV axes (x right, y down, z forward), intrinsics in pixels of the image they come with,
+the centre of the top-left pixel is (0.5, 0.5), quaternions wxyz, colours sRGB in [0, 1].
+The world is the frame of the first view's camera unless a field says otherwise.
+"""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Where views stand and how they project."""
+
+    cam_from_world: Float[Tensor, "*batch view 4 4"]
+    """Rigid transforms that take world points into each camera's frame."""
+    intrinsics: Float[Tensor, "*batch view 3 3"]
+    """Pixels of the image that is rendered or that was taken."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """Photos of one scene each, with cameras and depth where they are known."""
+
+    images: Float[Tensor, "batch view 3 height width"]
+    """sRGB in [0, 1]."""
+    intrinsics: Float[Tensor, "batch view 3 3"] | None = None
+    """Of these images at this size; None when unknown."""
+    cam_from_world: Float[Tensor, "batch view 4 4"] | None = None
+    """Any world frame; None for unposed photos."""
+    depths: Float[Tensor, "batch view height width"] | None = None
+    """z-depth in the units of cam_from_world, 0 where it is unknown; None without a sensor."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What a geometry backbone says of the views. World = the first view's camera."""
+
+    features: Float[Tensor, "batch view patch channel"]
+    """F: multi-view features, patches in row-major order."""
+    depths: Float[Tensor, "batch view height width"]
+    """z-depth in each view's own camera, scene units, > 0."""
+    pointmaps: Float[Tensor, "batch view height width 3"]
+    """P: the 3D point behind every pixel, in the first camera's frame, scene units."""
+    confidences: Float[Tensor, "batch view height width"]
+    """> 0; larger is surer."""
+    cameras: Cameras
+    """cam_from_world with the first camera as the world (its matrix is the identity)."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """X: one token for each patch of every view, with where the patch lies and how it looks."""
+
+    tokens: Float[Tensor, "batch patch channel"]
+    """X. Patches of view 0 first, row-major within a view."""
+    positions: Float[Tensor, "batch patch 3"]
+    """P~: the pointmap at the patch centres, in units of scale."""
+    cells: Float[Tensor, "batch patch cell 6"]
+    """Surface point (xyz, in units of scale) and colour (rgb) of each sub-cell of the patch,
+    row-major: where and in which colour a Gaussian head may start its Gaussians."""
+    scale: Float[Tensor, " batch"]
+    """Scene units in one unit of the positions: the mean distance of the pointmaps."""
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Anchor tokens and where they stand."""
+
+    positions: Float[Tensor, "batch anchor 3"]
+    """a_k, in units of the context's scale."""
+    tokens: Float[Tensor, "batch anchor channel"]
+    """A_k (or the seeds A0 before the decoder)."""
+    patches: Int[Tensor, "batch anchor"]
+    """Which patch of the context each anchor was placed on."""
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """3D Gaussians in world space, named and stored as gsplat takes them."""
+
+    means: Float[Tensor, "*batch gaussian 3"]
+    """Centres, scene units."""
+    quats: Float[Tensor, "*batch gaussian 4"]
+    """Rotations, wxyz, unit length."""
+    scales: Float[Tensor, "*batch gaussian 3"]
+    """Standard deviations along the principal axes, scene units, > 0."""
+    opacities: Float[Tensor, "*batch gaussian"]
+    """In [0, 1]."""
+    sh: Float[Tensor, "*batch gaussian coefficient 3"]
+    """Colour; (degree + 1)^2 coefficients, number 0 is the constant term."""
+    anchor_index: Int[Tensor, "*batch gaussian"]
+    """The anchor that each Gaussian was decoded from: the row of per-anchor features."""
+
+
+@dataclass(frozen=True)
+class TokenGroups:
+    """What the tokenizer returns: a scene as anchors, groups, and which anchor is whose."""
+
+    anchors: Anchors
+    """A and a; positions in scene units, in the first camera's frame."""
+    tokens: Float[Tensor, "batch group channel"]
+    """G_l."""
+    assignment: Float[Tensor, "batch anchor group+1"]
+    """pi_kl; the last column is the void; rows sum to 1."""
+    gaussians: Gaussians
+    """N_g for each anchor, in anchor order, scene units, first camera's frame."""
+    geometry: Geometry
+    """The backbone's geometry that the tokens were built from."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Pictures of Gaussians."""
+
+    colors: Float[Tensor, "*batch view 3 height width"]
+    """sRGB, not clamped above; the background is composited behind."""
+    alphas: Float[Tensor, "*batch view height width"]
+    """Coverage in [0, 1]."""
+    depths: Float[Tensor, "*batch view height width"]
+    """Expected z-depth, sum(w z) / sum(w), scene units; 0 where nothing was hit."""
+    features: Float[Tensor, "*batch view channel height width"] | None = None
+    """Composited per-anchor features (Eq. 4), not divided by alpha; None when none were given."""
