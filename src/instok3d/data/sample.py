@@ -1,0 +1,93 @@
+"""One training or test example: context views that are given, target views that are asked for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from instok3d.types import Views
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A batch of scenes, float32, metres; world = the camera of each first context view.
+
+    Both Views carry intrinsics, cam_from_world and depths; `photos_only` drops what a model that
+    sees unposed photos must not know.
+    """
+
+    context: Views
+    target: Views
+    context_instances: Int[Tensor, "batch context height width"]
+    """True ids: 0 = no instance, -1 = ignore; the same id is the same thing in every view."""
+    target_instances: Int[Tensor, "batch target height width"]
+    names: tuple[str, ...]
+    """Where each sample came from, for messages and pictures."""
+
+    def to(self, device: torch.device | str) -> "Sample":
+        """The same sample with its tensors on another device."""
+        return Sample(
+            context=_views_to(self.context, device),
+            target=_views_to(self.target, device),
+            context_instances=self.context_instances.to(device),
+            target_instances=self.target_instances.to(device),
+            names=self.names,
+        )
+
+
+def collate(samples: Sequence[Sample]) -> Sample:
+    """One batch of all samples, in order.
+
+    Raises:
+        ValueError: There is no sample, or they differ in number of views, size or known fields.
+    """
+    if not samples:
+        raise ValueError("collate needs at least one sample, got none")
+    shapes = {(s.context.images.shape[1:], s.target.images.shape[1:]) for s in samples}
+    if len(shapes) > 1:
+        raise ValueError(f"samples of one batch must agree in views and size, got {shapes}")
+    return Sample(
+        context=_join_views([s.context for s in samples]),
+        target=_join_views([s.target for s in samples]),
+        context_instances=torch.cat([s.context_instances for s in samples]),
+        target_instances=torch.cat([s.target_instances for s in samples]),
+        names=tuple(name for s in samples for name in s.names),
+    )
+
+
+def photos_only(views: Views, *, keep_intrinsics: bool = False) -> Views:
+    """The views as bare photos: no cameras, no depth, and no intrinsics unless they are kept."""
+    return Views(images=views.images, intrinsics=views.intrinsics if keep_intrinsics else None)
+
+
+def concatenate_views(first: Views, second: Views) -> Views:
+    """The views of both, scene by scene; a field that one of them lacks is None."""
+    return _combine([first, second], dim=1)
+
+
+def _join_views(parts: Sequence[Views]) -> Views:
+    for field in fields(Views):
+        missing = {getattr(part, field.name) is None for part in parts}
+        if len(missing) > 1:
+            raise ValueError(f"{field.name} must be known in all samples of a batch or in none")
+    return _combine(parts, dim=0)
+
+
+def _combine(parts: Sequence[Views], *, dim: int) -> Views:
+    def join(name: str) -> Tensor | None:
+        tensors = [getattr(part, name) for part in parts]
+        return None if any(t is None for t in tensors) else torch.cat(tensors, dim=dim)
+
+    return Views(
+        images=torch.cat([part.images for part in parts], dim=dim),
+        intrinsics=join("intrinsics"),
+        cam_from_world=join("cam_from_world"),
+        depths=join("depths"),
+    )
+
+
+def _views_to(views: Views, device: torch.device | str) -> Views:
+    known = {f.name: getattr(views, f.name) for f in fields(Views)}
+    return replace(views, **{k: t.to(device) for k, t in known.items() if t is not None})
