@@ -1,0 +1,211 @@
+"""The Gaussian head: a two-layer MLP turns each anchor token into N_g Gaussians (Sec. 3.2)."""
+
+from dataclasses import dataclass
+from math import isqrt, log
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from instok3d.model.anchors import gather_rows
+from instok3d.types import Anchors, Context, Gaussians
+
+SH_CONSTANT = 0.28209479177387814
+"""Value of the constant spherical harmonic: colour = 0.5 + SH_CONSTANT * coefficient."""
+MAX_EXPANSION = 4.0
+
+
+@dataclass(frozen=True)
+class GaussianHeadConfig:
+    """What each anchor is decoded into. Lengths are in units of the scene's mean distance."""
+
+    gaussians_per_anchor: int = 16
+    """N_g; the paper has 32. With surface seeding a square number, at least 4."""
+    seeding: Literal["surface", "anchor"] = "surface"
+    """Where Gaussians start. anchor: around the anchor, as in the paper. surface: the j-th one at
+    the j-th surface cell of the anchor's patch, in its colour (a deviation: a small model then
+    need not learn to copy the photo)."""
+    sh_degree: int = 1
+    """0 to 3; the paper has 2."""
+    hidden_factor: int = 2
+    """Width of the hidden layer, in token widths."""
+    offset_bound: float = 0.1
+    """Anchor seeding: largest offset from the anchor along each axis. The paper's models have 0.1
+    in metres."""
+    offset_bound_footprints: float = 4.0
+    """Surface seeding: largest offset from the cell along each axis, in cells of the patch."""
+    initial_scale: float = 0.03
+    """Anchor seeding: standard deviation of a Gaussian at the start."""
+    initial_scale_footprints: float = 0.6
+    """Surface seeding: standard deviation of a Gaussian at the start, in cells of the patch."""
+    scale_max: float = 0.3
+    """Largest standard deviation. The paper's models have 0.3 in metres."""
+
+    def __post_init__(self):
+        if not 0 <= self.sh_degree <= 3:
+            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        if self.seeding not in ("surface", "anchor"):
+            raise ValueError(f"seeding must be 'surface' or 'anchor', got {self.seeding!r}")
+        side = isqrt(self.gaussians_per_anchor)
+        if self.seeding == "surface" and (side < 2 or side**2 != self.gaussians_per_anchor):
+            raise ValueError(
+                "surface seeding places Gaussians on a square grid: gaussians_per_anchor must be "
+                f"4, 9, 16, ..., got {self.gaussians_per_anchor}"
+            )
+
+    @property
+    def cells_per_side(self) -> int:
+        """Side of the grid of surface cells that a patch must bring."""
+        return isqrt(self.gaussians_per_anchor) if self.seeding == "surface" else 1
+
+    @property
+    def coefficients(self) -> int:
+        """Spherical harmonics of one colour channel."""
+        return (self.sh_degree + 1) ** 2
+
+
+class GaussianHead(nn.Module):
+    """Anchors in, their Gaussians out, in units of the context's scale.
+
+    Colours are raw spherical harmonics, opacities a sigmoid, quaternions normalised. Bands above
+    the constant are damped by 1/8, 1/32, 1/128, so that view dependence comes late.
+    """
+
+    damping: Tensor
+
+    def __init__(self, width: int, config: GaussianHeadConfig):
+        super().__init__()
+        self.config = config
+        surface = config.seeding == "surface"
+        shape_inputs = 3 * config.gaussians_per_anchor + 1 if surface else 0
+        self.sizes = [3, 3, 4, 1, 3 * config.coefficients]
+        hidden = config.hidden_factor * width
+        self.hidden = nn.Sequential(nn.Linear(width + shape_inputs, hidden), nn.GELU())
+        self.out = nn.Linear(hidden, config.gaussians_per_anchor * sum(self.sizes))
+        bands = [degree for degree in range(config.sh_degree + 1) for _ in range(2 * degree + 1)]
+        damping = torch.tensor([0.5 * 0.25**band if band else 1.0 for band in bands])
+        self.register_buffer("damping", damping[:, None], persistent=False)
+        nn.init.normal_(self.out.weight, std=0.01 if surface else 0.02)
+        bias = torch.zeros(config.gaussians_per_anchor, sum(self.sizes))
+        if not surface:
+            bias[:, :3].normal_(std=0.5)  # else all Gaussians of an anchor start as one
+        bias[:, 6] = 1.0
+        bias[:, 10] = 0.5 if surface else -2.0
+        with torch.no_grad():
+            self.out.bias.copy_(bias.flatten())
+
+    def forward(self, anchors: Anchors, context: Context) -> Gaussians:
+        """Gaussians in anchor order. Everything after the MLP runs in float32."""
+        if self.config.seeding == "surface":
+            seeds = _surface_seeds(anchors, context)
+            hidden = self.hidden(torch.cat([anchors.tokens, seeds.shape_inputs], dim=-1))
+            raw = self.out(hidden)
+            with torch.autocast(raw.device.type, enabled=False):
+                return self._from_surface(seeds, raw.float())
+        raw = self.out(self.hidden(anchors.tokens))
+        with torch.autocast(raw.device.type, enabled=False):
+            return self._from_anchor(anchors.positions, raw.float())
+
+    def _from_surface(
+        self, seeds: "_SurfaceSeeds", raw: Float[Tensor, "batch anchor number"]
+    ) -> Gaussians:
+        offsets, scales, quats, opacities, sh = self._split(raw)
+        bound = self.config.offset_bound_footprints * seeds.spacing[..., None, None]
+        means = seeds.points + bound * torch.tanh(offsets)
+        start = self.config.initial_scale_footprints * seeds.spacing[..., None, None]
+        constant = (seeds.colors - 0.5) / SH_CONSTANT
+        sh = torch.cat([sh[..., :1, :] + constant[..., None, :], sh[..., 1:, :]], dim=-2)
+        return self._gaussians(means, start.log() + scales, quats, opacities, sh)
+
+    def _from_anchor(
+        self,
+        positions: Float[Tensor, "batch anchor 3"],
+        raw: Float[Tensor, "batch anchor number"],
+    ) -> Gaussians:
+        offsets, scales, quats, opacities, sh = self._split(raw)
+        means = positions[:, :, None] + self.config.offset_bound * torch.tanh(offsets)
+        return self._gaussians(means, log(self.config.initial_scale) + scales, quats, opacities, sh)
+
+    def _split(self, raw: Float[Tensor, "batch anchor number"]) -> list[Tensor]:
+        each = raw.unflatten(-1, (self.config.gaussians_per_anchor, sum(self.sizes)))
+        offsets, scales, quats, opacities, sh = each.split(self.sizes, dim=-1)
+        sh = sh.unflatten(-1, (self.config.coefficients, 3)) * self.damping
+        return [offsets, scales, quats, opacities.squeeze(-1), sh]
+
+    def _gaussians(
+        self,
+        means: Float[Tensor, "batch anchor each 3"],
+        log_scales: Float[Tensor, "batch anchor each 3"],
+        quats: Float[Tensor, "batch anchor each 4"],
+        opacities: Float[Tensor, "batch anchor each"],
+        sh: Float[Tensor, "batch anchor each coefficient 3"],
+    ) -> Gaussians:
+        batch, anchors, each = opacities.shape
+        index = torch.arange(anchors, device=means.device).repeat_interleave(each)
+        return Gaussians(
+            means=means.flatten(1, 2),
+            quats=functional.normalize(quats, dim=-1).flatten(1, 2),
+            # The cap has no gradient, as in the paper's models; clamping the logarithm first
+            # keeps exp finite.
+            scales=log_scales.clamp(-16.0, log(self.config.scale_max)).exp().flatten(1, 2),
+            opacities=torch.sigmoid(opacities).flatten(1, 2),
+            sh=sh.flatten(1, 2),
+            anchor_index=index.expand(batch, -1),
+        )
+
+
+@dataclass(frozen=True)
+class _SurfaceSeeds:
+    """Where the Gaussians of each anchor start, and what the head is told about it."""
+
+    points: Float[Tensor, "batch anchor cell 3"]
+    colors: Float[Tensor, "batch anchor cell 3"]
+    spacing: Float[Tensor, "batch anchor"]
+    shape_inputs: Float[Tensor, "batch anchor number"]
+
+
+def _surface_seeds(anchors: Anchors, context: Context) -> _SurfaceSeeds:
+    """The cells of each anchor's patch, spread out where anchors are sparse.
+
+    With fewer anchors than patches (many views) an anchor has to cover for its neighbours: its
+    cells move apart and its Gaussians grow by the distance to the nearest other anchor over the
+    width of the patch, 1 to 4 times, while their colours fade to the patch's mean.
+    """
+    cells = gather_rows(context.cells, anchors.patches)
+    points, colors = cells.split(3, dim=-1)
+    spacing = _cell_spacing(points)
+    nearest = _nearest_distance(anchors.positions)
+    sparsity = nearest / (spacing * isqrt(points.shape[2]))
+    expansion = sparsity.clamp(1.0, MAX_EXPANSION)[..., None, None]
+    relative = points - anchors.positions[:, :, None]
+    local = (relative / spacing[..., None, None]).clamp(-8.0, 8.0).flatten(2)
+    shape_inputs = torch.cat([local, sparsity.clamp(0.05, 20.0).log()[..., None]], dim=-1)
+    mean_color = colors.mean(dim=2, keepdim=True)
+    return _SurfaceSeeds(
+        points=anchors.positions[:, :, None] + expansion * relative,
+        colors=mean_color + (colors - mean_color) / expansion,
+        spacing=spacing * expansion[..., 0, 0],
+        shape_inputs=shape_inputs,
+    )
+
+
+def _cell_spacing(points: Float[Tensor, "batch anchor cell 3"]) -> Float[Tensor, "batch anchor"]:
+    """Median distance between neighbouring cells: an edge through the patch hardly moves it."""
+    side = isqrt(points.shape[2])
+    grid = points.unflatten(2, (side, side))
+    down = (grid[:, :, 1:] - grid[:, :, :-1]).norm(dim=-1).flatten(2)
+    right = (grid[:, :, :, 1:] - grid[:, :, :, :-1]).norm(dim=-1).flatten(2)
+    return torch.cat([down, right], dim=-1).median(dim=-1).values.clamp_min(1e-5)
+
+
+@torch.no_grad()
+def _nearest_distance(positions: Float[Tensor, "batch anchor 3"]) -> Float[Tensor, "batch anchor"]:
+    """Distance of each anchor to its nearest other one; 0 for an anchor that is alone."""
+    anchors = positions.shape[1]
+    if anchors == 1:
+        return torch.zeros_like(positions[..., 0])
+    distance = torch.cdist(positions, positions)
+    distance.diagonal(dim1=-2, dim2=-1).fill_(torch.inf)
+    return distance.min(dim=-1).values

@@ -1,0 +1,131 @@
+"""The tokenizer: photos in, a scene made of token groups out (Fig. 2a)."""
+
+from dataclasses import dataclass, field, replace
+
+from torch import nn
+
+from instok3d.model.anchors import AnchorDecoder, AnchorPlacement
+from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.context import ContextFusion
+from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
+from instok3d.model.grouping import Assignment, GroupDecoder
+from instok3d.model.transformer import Decoder
+from instok3d.types import Geometry, TokenGroups, Views
+
+
+@dataclass(frozen=True)
+class TokenizerConfig:
+    """Sizes of the tokenizer. The defaults are the nano model's."""
+
+    width: int = 256
+    """C, channels of every token; the paper has 1024 (Sec. 4)."""
+    num_anchors: int = 512
+    """K; the paper has 1024. Never more than there are patches."""
+    num_groups: int = 40
+    """L; the paper has 100."""
+    anchor_layers: int = 4
+    """Layers of D_anchor; the paper has 6."""
+    group_layers: int = 3
+    """Layers of D_group; the paper has 4."""
+    head_size: int = 64
+    """Channels of an attention head; 64 as in the paper's backbone."""
+    normalize_heads: bool = False
+    """Layer-normalise queries and keys in each head; the paper does not say."""
+    anchor_self_attention: bool = False
+    """Anchors also attend to each other; the paper shows cross-attention alone."""
+    group_self_attention: bool = True
+    """Groups also attend to each other, without which two may claim one object; a deviation."""
+    gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
+
+    def __post_init__(self):
+        for name in ("num_anchors", "num_groups", "anchor_layers", "group_layers"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+PAPER = TokenizerConfig(
+    width=1024,
+    num_anchors=1024,
+    num_groups=100,
+    anchor_layers=6,
+    group_layers=4,
+    group_self_attention=False,
+    gaussian_head=GaussianHeadConfig(gaussians_per_anchor=32, seeding="anchor", sh_degree=2),
+)
+"""The sizes of the paper (Sec. 4), for a backbone with patches of 16 pixels."""
+
+
+class Tokenizer(nn.Module):
+    """Photos of a room to a 3D scene made of objects, in one forward pass."""
+
+    def __init__(self, backbone: GeometryBackbone, config: TokenizerConfig):
+        super().__init__()
+        self.config = config
+        self.backbone = backbone
+        width = config.width
+        self.fuse = ContextFusion(
+            backbone.feature_channels,
+            width,
+            patch_size=backbone.patch_size,
+            cells_per_side=config.gaussian_head.cells_per_side,
+        )
+        self.place = AnchorPlacement(width, config.num_anchors)
+        self.anchor_decoder = AnchorDecoder(
+            _decoder(config, config.anchor_layers, config.anchor_self_attention)
+        )
+        self.group_decoder = GroupDecoder(
+            config.num_groups,
+            width,
+            _decoder(config, config.group_layers, config.group_self_attention),
+        )
+        self.assign = Assignment(width)
+        self.gaussian_head = GaussianHead(width, config.gaussian_head)
+
+    def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
+        """One line for each arrow of Fig. 2(a).
+
+        Positions and Gaussians come out in scene units (the geometry's) and in the first view's
+        camera frame. May run under autocast; geometry, softmax and the activations of the
+        Gaussians stay in float32. Not differentiable: which patches become anchors.
+
+        Args:
+            views: 1 to 16 photos of each scene.
+            geometry: What the backbone said of these views, where it has been run already (it is
+                frozen while the tokenizer learns, so its answers can be kept).
+
+        Raises:
+            ValueError: The image size is no multiple of the patch size.
+        """
+        # F, P: multi-view features and pointmaps
+        seen: Geometry = self.backbone(views) if geometry is None else geometry
+        context = self.fuse(views, seen)  # X: one token per patch of every view
+        seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
+        anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
+        groups = self.group_decoder(anchors)  # G (Eq. 2)
+        assignment = self.assign(anchors.tokens, groups)  # pi (Eq. 3)
+        gaussians = self.gaussian_head(anchors, context)  # N_g for each anchor
+        scale = context.scale[:, None, None]
+        return TokenGroups(
+            anchors=replace(anchors, positions=anchors.positions * scale),
+            tokens=groups,
+            assignment=assignment,
+            gaussians=replace(
+                gaussians, means=gaussians.means * scale, scales=gaussians.scales * scale
+            ),
+            geometry=seen,
+        )
+
+    def own_parameters(self) -> list[nn.Parameter]:
+        """Parameters of everything but the backbone."""
+        kept = {id(parameter) for parameter in self.backbone.parameters()}
+        return [parameter for parameter in self.parameters() if id(parameter) not in kept]
+
+
+def _decoder(config: TokenizerConfig, layers: int, self_attention: bool) -> Decoder:
+    return Decoder(
+        config.width,
+        layers,
+        self_attention=self_attention,
+        head_size=config.head_size,
+        normalize_heads=config.normalize_heads,
+    )
