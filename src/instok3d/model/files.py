@@ -1,0 +1,178 @@
+"""Models on disk: one safetensors file with the weights, the sizes and the card."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from instok3d.files import replacing
+from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+
+FORMAT = "instok3d-model-1"
+DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
+
+
+class MissingWeightsError(FileNotFoundError):
+    """The weights that were asked for are not on this machine."""
+
+
+class BackboneKind(NamedTuple):
+    """A backbone class with the dataclass of its sizes."""
+
+    backbone: Callable[[Any], GeometryBackbone]
+    config: type
+
+
+def _nano() -> BackboneKind:
+    from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+
+    return BackboneKind(NanoBackbone, NanoConfig)
+
+
+BACKBONES: dict[str, Callable[[], BackboneKind]] = {"nano": _nano}
+"""Backbones that a file may name, imported when one does."""
+
+
+def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: bool = True) -> None:
+    """Write a model as one safetensors file, atomically; the folder must be there.
+
+    Args:
+        model: Its backbone must be of a kind in `BACKBONES` and have its sizes in `.config`.
+        path: Name of the file.
+        card: What to say of the model (how and on what it was trained, floors, licence): JSON.
+        half: Store float16, half the size; values change by up to 1/2048 of themselves.
+
+    Raises:
+        ValueError: A weight is not finite (in float16, where that is asked for), or the
+            backbone's class is not registered.
+    """
+    state: dict[str, Tensor] = {}
+    for name, value in model.state_dict().items():
+        if half and value.is_floating_point():
+            value = value.half()
+        if not value.isfinite().all():
+            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
+        state[name] = value.detach().cpu().contiguous()
+    kind = _kind_of(model.backbone)
+    metadata = {
+        "format": FORMAT,
+        "backbone": kind,
+        "backbone_config": json.dumps(asdict(model.backbone.config), allow_nan=False),
+        "tokenizer_config": json.dumps(asdict(model.config), allow_nan=False),
+        "card": json.dumps(dict(card), allow_nan=False),
+    }
+    with replacing(path) as part:
+        save_file(state, part, metadata=metadata)
+
+
+def load_model(path: Path | None = None) -> Tokenizer:
+    """The model of a file in float32, in eval mode on the CPU; the shipped one for None.
+
+    Raises:
+        MissingWeightsError: There is no such file.
+        ValueError: The file is damaged or is not a model of this version.
+    """
+    path = _existing(path)
+    metadata, state = _read(path)
+    kind = metadata["backbone"]
+    if kind not in BACKBONES:
+        raise ValueError(
+            f"{path} needs the backbone {kind!r}; this version has {sorted(BACKBONES)}"
+        )
+    backbone_class, backbone_config = BACKBONES[kind]()
+    sizes = _config(backbone_config, json.loads(metadata["backbone_config"]), path)
+    config = _config(TokenizerConfig, json.loads(metadata["tokenizer_config"]), path)
+    model = Tokenizer(backbone_class(sizes), config)
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(f"the weights in {path} do not fit its own sizes: {error}") from error
+    return model.eval()
+
+
+def read_card(path: Path | None = None) -> dict[str, Any]:
+    """What the file says of its model; the shipped one's for None.
+
+    Raises:
+        MissingWeightsError: There is no such file.
+        ValueError: The file is damaged or is not a model of this version.
+    """
+    path = _existing(path)
+    return json.loads(_read_metadata(path)["card"])
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _existing(path: Path | None) -> Path:
+    if path is None and not DEFAULT_MODEL.is_file():
+        raise MissingWeightsError(
+            f"the default model is not installed (no {DEFAULT_MODEL}); give a model file, or "
+            "install the package with its assets"
+        )
+    path = DEFAULT_MODEL if path is None else path
+    if not path.is_file():
+        raise MissingWeightsError(f"no model file {path}; give the path of a .safetensors model")
+    return path
+
+
+def _read_metadata(path: Path) -> dict[str, str]:
+    try:
+        with safe_open(path, framework="pt") as stream:
+            metadata = stream.metadata() or {}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+    if metadata.get("format") != FORMAT:
+        raise ValueError(
+            f"{path} is not an InsTok3D model: its format is {metadata.get('format')!r}, "
+            f"wanted {FORMAT!r}"
+        )
+    return metadata
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    metadata = _read_metadata(path)
+    with safe_open(path, framework="pt") as stream:
+        state = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+    return metadata, {
+        name: value.to(torch.float32) if value.is_floating_point() else value
+        for name, value in state.items()
+    }
+
+
+def _kind_of(backbone: GeometryBackbone) -> str:
+    for name, load in BACKBONES.items():
+        if type(backbone) is load().backbone:
+            return name
+    raise ValueError(
+        f"{type(backbone).__name__} is not in model.files.BACKBONES, so a file could not name it"
+    )
+
+
+def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:
+    """The dataclass of JSON values, nested ones too; every key must be a field."""
+    known = {each.name for each in fields(config_class)}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise ValueError(
+            f"{path} has sizes that this version does not know: "
+            f"{', '.join(unknown)} of {config_class.__name__}"
+        )
+    types = get_type_hints(config_class)
+    settled = {}
+    for name, value in values.items():
+        if is_dataclass(types[name]):
+            value = _config(types[name], value, path)  # pyright: ignore[reportArgumentType]
+        settled[name] = tuple(value) if isinstance(value, list) else value
+    return config_class(**settled)
