@@ -1,0 +1,164 @@
+"""Relative cameras from points and their matched pixels, and their composition over many views."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid, rigid
+from instok3d.geometry.similarity import weighted_procrustes
+
+
+def _skew(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    x, y, z = points.unbind(-1)
+    zero = torch.zeros_like(x)
+    rows = [
+        torch.stack([zero, -z, y], dim=-1),
+        torch.stack([z, zero, -x], dim=-1),
+        torch.stack([-y, x, zero], dim=-1),
+    ]
+    return torch.stack(rows, dim=-2)
+
+
+def rigid_from_twist(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
+    """The rigid transform of a small motion: rotation exp(w), translation v, for twist (v, w)."""
+    rotation = torch.linalg.matrix_exp(_skew(twist[..., 3:]))
+    return rigid(rotation, twist[..., :3])
+
+
+def _projection_jacobian(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2 3"]:
+    x, y, z = points.unbind(-1)
+    zero, inverse = torch.zeros_like(z), 1 / z
+    rows = [
+        torch.stack([inverse, zero, -x * inverse**2], dim=-1),
+        torch.stack([zero, inverse, -y * inverse**2], dim=-1),
+    ]
+    return torch.stack(rows, dim=-2)
+
+
+def register_pair(
+    points_a: Float[Tensor, "batch point 3"],
+    rays_in_b: Float[Tensor, "batch point 2"],
+    matched_b: Float[Tensor, "batch point 3"],
+    weights_a: Float[Tensor, "batch point"],
+    points_b: Float[Tensor, "batch point 3"],
+    rays_in_a: Float[Tensor, "batch point 2"],
+    matched_a: Float[Tensor, "batch point 3"],
+    weights_b: Float[Tensor, "batch point"],
+    *,
+    iterations: int = 8,
+    inlier_radius: float = 0.02,
+) -> Float[Tensor, "batch 4 4"]:
+    """b_from_a: the rigid transform under which both cameras see each other's points in place.
+
+    It starts from the weighted Procrustes fit of points to matched points, which needs the
+    depth of both cameras, and then minimises the robust (Cauchy) distance between the
+    projections of the points and the matched rays in both directions by Gauss-Newton, where
+    errors of depth count little. Not differentiable: the matches are trained directly.
+
+    Args:
+        points_a: Points in camera a's frame.
+        rays_in_b: Where each of them is seen in b, as x/z, y/z of the ray in b's frame.
+        matched_b: The 3D point of b at that place, in b's frame.
+        weights_a: Trust in each match, >= 0.
+        points_b: Points in camera b's frame, with the same three fields for the way back.
+        rays_in_a: As rays_in_b.
+        matched_a: As matched_b.
+        weights_b: As weights_a.
+        iterations: Of Gauss-Newton.
+        inlier_radius: Distance in x/z, y/z at which a match has lost half its weight.
+    """
+    with torch.no_grad():
+        source = torch.cat([points_a, matched_a], dim=1)
+        target = torch.cat([matched_b, points_b], dim=1)
+        weights = torch.cat([weights_a, weights_b], dim=1)
+        robust = weights
+        b_from_a = rigid(*weighted_procrustes(source, target, robust))
+        for _ in range(4):
+            residual = (source @ b_from_a[:, :3, :3].mT + b_from_a[:, None, :3, 3]) - target
+            relative = residual.norm(dim=-1) / target.norm(dim=-1).clamp_min(1e-6)
+            robust = weights / (1 + (relative / 0.1) ** 2)
+            b_from_a = rigid(*weighted_procrustes(source, target, robust))
+        for _ in range(iterations):
+            b_from_a = _gauss_newton_step(
+                b_from_a, points_a, rays_in_b, weights_a, points_b, rays_in_a, weights_b,
+                inlier_radius,
+            )  # fmt: skip
+        return b_from_a
+
+
+def _gauss_newton_step(
+    b_from_a: Tensor,
+    points_a: Tensor,
+    rays_in_b: Tensor,
+    weights_a: Tensor,
+    points_b: Tensor,
+    rays_in_a: Tensor,
+    weights_b: Tensor,
+    inlier_radius: float,
+) -> Tensor:
+    rotation, translation = b_from_a[:, :3, :3], b_from_a[:, :3, 3]
+    identity = torch.eye(3, dtype=points_a.dtype, device=points_a.device)
+
+    def equations(seen: Tensor, rays: Tensor, weights: Tensor, motion: Tensor) -> tuple:
+        """Normal equations of one direction; motion = d seen / d twist, [batch, point, 3, 6]."""
+        front = seen[..., 2] > 0.05
+        safe = torch.where(front[..., None], seen, torch.ones_like(seen))
+        residual = safe[..., :2] / safe[..., 2:] - rays
+        robust = weights * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
+        jacobian = _projection_jacobian(safe) @ motion
+        flat = (jacobian * robust[..., None, None]).flatten(1, 2)
+        return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])
+
+    seen_b = points_a @ rotation.mT + translation[:, None]
+    motion_b = torch.cat([identity.expand(*seen_b.shape[:2], 3, 3), -_skew(seen_b)], dim=-1)
+    seen_a = (points_b - translation[:, None]) @ rotation
+    motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -_skew(points_b)], dim=-1)
+    motion_a = -(rotation.mT[:, None] @ motion_a)
+    hessian_b, gradient_b = equations(seen_b, rays_in_b, weights_a, motion_b)
+    hessian_a, gradient_a = equations(seen_a, rays_in_a, weights_b, motion_a)
+    hessian = hessian_a + hessian_b
+    damping = 1e-4 * hessian.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-6)
+    hessian = hessian + damping[:, None, None] * torch.eye(6, dtype=hessian.dtype)
+    twist = -torch.linalg.solve(hessian, gradient_a + gradient_b).squeeze(-1)
+    # A step of more than 30 degrees or one unit of depth is a sign of too few matches: shorten it.
+    twist = twist / (twist.norm(dim=-1, keepdim=True) / 0.5).clamp_min(1.0)
+    return rigid_from_twist(twist) @ b_from_a
+
+
+def spanning_tree(scores: Float[Tensor, "view view"]) -> list[tuple[int, int]]:
+    """Edges (parent, child) of the maximum spanning tree rooted at view 0, parents first.
+
+    Prim's algorithm: each step joins the view that has the best-scored link to the tree.
+    """
+    count = scores.shape[0]
+    symmetric = torch.maximum(scores, scores.mT)
+    inside, edges = [0], []
+    while len(inside) < count:
+        outside = [view for view in range(count) if view not in inside]
+        block = symmetric[inside][:, outside]
+        best = int(block.argmax())
+        parent, child = inside[best // len(outside)], outside[best % len(outside)]
+        edges.append((parent, child))
+        inside.append(child)
+    return edges
+
+
+def compose_along_tree(
+    child_from_parent: dict[tuple[int, int], Float[Tensor, "4 4"]], edges: list[tuple[int, int]]
+) -> Float[Tensor, "view 4 4"]:
+    """cam_from_first of every view from relative cameras along the edges of a tree.
+
+    Args:
+        child_from_parent: For every edge (parent, child), or its reverse, the transform
+            between the two cameras: key (a, b) holds b_from_a.
+        edges: As spanning_tree gives them.
+    """
+    first = next(iter(child_from_parent.values())) if child_from_parent else torch.zeros(4, 4)
+    cameras = {0: torch.eye(4, dtype=first.dtype, device=first.device)}
+    for parent, child in edges:
+        if (parent, child) in child_from_parent:
+            step = child_from_parent[parent, child]
+        else:
+            step = invert_rigid(child_from_parent[child, parent])
+        cameras[child] = step @ cameras[parent]
+    return torch.stack([cameras[view] for view in range(len(cameras))])

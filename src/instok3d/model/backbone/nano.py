@@ -1,0 +1,367 @@
+"""A geometry backbone small enough to train on two CPU cores.
+
+Convolutional stem, alternating frame and global attention as in VGGT (Sec. 3.1 of the paper), a
+depth head, and dense descriptors whose matches give the relative cameras: a camera that is solved
+for from matches is learned far faster than one that is regressed from a token.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from instok3d.geometry.cameras import (
+    intrinsics_from_field_of_view,
+    pixel_centers,
+    pixel_rays,
+    relative_to_first,
+    transform_points,
+    unproject,
+)
+from instok3d.geometry.cameras import invert_rigid as inverse
+from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
+from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.types import Cameras, Geometry, Views
+
+MATCH_STRIDE = 4
+"""Pixels between neighbouring descriptors: twice as fine as the patches."""
+
+
+@dataclass(frozen=True)
+class NanoConfig:
+    """Sizes of the nano backbone."""
+
+    width: int = 256
+    """Channels of a token."""
+    layers: int = 4
+    """Pairs of a frame block and a global block (VGGT: 24)."""
+    head_width: int = 64
+    """Channels of an attention head; 32 is twice as slow on a CPU."""
+    match_channels: int = 64
+    """Channels of a descriptor."""
+    typical_field_of_view_rad: float = 1.05
+    """What an image of unknown intrinsics is taken for before the focal head corrects it."""
+
+
+class SelfAttentionBlock(nn.Module):
+    """Pre-norm self-attention with normalised queries and keys, then an MLP."""
+
+    def __init__(self, width: int, head_width: int) -> None:
+        super().__init__()
+        self.head_width = head_width
+        self.norm_attention = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
+        self.norm_query = nn.LayerNorm(head_width)
+        self.norm_key = nn.LayerNorm(head_width)
+        self.project = nn.Linear(width, width)
+        self.norm_mlp = nn.LayerNorm(width)
+        self.expand = nn.Linear(width, 4 * width)
+        self.contract = nn.Linear(4 * width, width)
+
+    def forward(
+        self, tokens: Float[Tensor, "sequence token channel"]
+    ) -> Float[Tensor, "sequence token channel"]:
+        """The tokens after they have seen each other."""
+        sequences, count, width = tokens.shape
+        mixed = self.query_key_value(self.norm_attention(tokens))
+        query, key, value = mixed.view(sequences, count, 3, -1, self.head_width).unbind(2)
+        query = self.norm_query(query).to(value.dtype).transpose(1, 2)
+        key = self.norm_key(key).to(value.dtype).transpose(1, 2)
+        seen = functional.scaled_dot_product_attention(query, key, value.transpose(1, 2))
+        tokens = tokens + self.project(seen.transpose(1, 2).reshape(sequences, count, width))
+        hidden = functional.gelu(self.expand(self.norm_mlp(tokens)))
+        return tokens + self.contract(hidden)
+
+
+def _convolve(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(channels_in, channels_out, 3, stride, 1),
+        nn.GroupNorm(max(1, channels_out // 16), channels_out),
+        nn.GELU(),
+    )
+
+
+class Stem(nn.Module):
+    """Images to features at strides 2, 4 and 8."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.stride2 = nn.Sequential(_convolve(3, 32, 2), _convolve(32, 48))
+        self.stride4 = nn.Sequential(_convolve(48, 96, 2), _convolve(96, 96))
+        self.stride8 = nn.Conv2d(96, width, 3, 2, 1)
+
+    def forward(
+        self, images: Float[Tensor, "image 3 height width"]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Features [image, 48, h/2, w/2], [image, 96, h/4, w/4], [image, width, h/8, w/8]."""
+        half = self.stride2(images)
+        quarter = self.stride4(half)
+        return half, quarter, self.stride8(quarter)
+
+
+class Unshuffle(nn.Module):
+    """Doubles the resolution: a linear map to 2x2 sub-positions plus a skip, then a convolution."""
+
+    def __init__(self, channels_in: int, channels_skip: int, channels_out: int) -> None:
+        super().__init__()
+        self.up = nn.Conv2d(channels_in, 4 * channels_out, 1)
+        self.skip = nn.Conv2d(channels_skip, channels_out, 1)
+        self.mix = _convolve(channels_out, channels_out)
+
+    def forward(
+        self,
+        coarse: Float[Tensor, "image coarse_channel h w"],
+        skip: Float[Tensor, "image skip_channel 2*h 2*w"],
+    ) -> Float[Tensor, "image channel 2*h 2*w"]:
+        """Features at the resolution of the skip."""
+        return self.mix(functional.pixel_shuffle(self.up(coarse), 2) + self.skip(skip))
+
+
+@dataclass(frozen=True)
+class RawGeometry:
+    """What the network itself says, before cameras are solved for: the input of the losses."""
+
+    features: Float[Tensor, "batch view patch channel"]
+    log_depths: Float[Tensor, "batch view height width"]
+    log_confidences: Float[Tensor, "batch view height width"]
+    descriptors: Float[Tensor, "batch view cell channel"]
+    """Unit length, one for each MATCH_STRIDE x MATCH_STRIDE cell, row-major."""
+    log_focal: Float[Tensor, "batch view"]
+    """Logarithm of predicted over typical focal length."""
+
+
+class NanoBackbone(GeometryBackbone):
+    """Features, depth and cameras of 1 to 16 views of any size that is a multiple of 8 pixels."""
+
+    patch_size = 8
+
+    def __init__(self, config: NanoConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.feature_channels = 2 * width
+        self.stem = Stem(width)
+        self.embed_position = nn.Linear(16, width)
+        self.embed_ray = nn.Linear(2, width)
+        self.unknown_ray = nn.Parameter(torch.zeros(width))
+        self.frame_blocks = nn.ModuleList(
+            SelfAttentionBlock(width, config.head_width) for _ in range(config.layers)
+        )
+        self.global_blocks = nn.ModuleList(
+            SelfAttentionBlock(width, config.head_width) for _ in range(config.layers)
+        )
+        self.norm = nn.LayerNorm(2 * width)
+        self.to_coarse_depth = nn.Linear(2 * width, 2)
+        self.to_quarter = Unshuffle(2 * width, 96, 64)
+        self.to_half = Unshuffle(64, 48, 32)
+        self.to_fine_depth = nn.Conv2d(32, 8, 1)
+        self.to_descriptor = nn.Conv2d(64, config.match_channels, 1)
+        self.log_sharpness = nn.Parameter(torch.tensor(2.5))
+        self.no_match_cosine = nn.Parameter(torch.tensor(0.8))
+        self.to_focal = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 1))
+        nn.init.normal_(self.to_coarse_depth.weight, std=0.01)
+        nn.init.normal_(self.to_fine_depth.weight, std=0.01)
+        nn.init.zeros_(self.to_focal[2].weight)
+        nn.init.zeros_(self.to_focal[2].bias)
+
+    def encode(self, views: Views) -> RawGeometry:
+        """Run the network: everything that is learned, nothing that is solved."""
+        batch, count, _, height, width = views.images.shape
+        if height % self.patch_size or width % self.patch_size:
+            raise ValueError(
+                f"images are {height}x{width} pixels; the nano backbone needs multiples of "
+                f"{self.patch_size}: resize or pad them"
+            )
+        images = views.images.flatten(0, 1) * 2 - 1
+        half, quarter, eighth = self.stem(images.contiguous(memory_format=torch.channels_last))
+        rows, columns = eighth.shape[-2:]
+        tokens = eighth.flatten(2).mT + self._positions(views, rows, columns)
+        for frame_block, global_block in zip(self.frame_blocks, self.global_blocks, strict=True):
+            frame = frame_block(tokens)
+            tokens = global_block(frame.view(batch, count * rows * columns, -1)).view_as(frame)
+        features = self.norm(torch.cat([frame, tokens], dim=-1))
+        grid = features.mT.unflatten(2, (rows, columns))
+        quarter = self.to_quarter(grid, quarter)
+        fine = functional.pixel_shuffle(self.to_fine_depth(self.to_half(quarter, half)), 2)
+        coarse = self.to_coarse_depth(features).mT.unflatten(2, (rows, columns))
+        coarse = functional.interpolate(
+            coarse.float(), size=(height, width), mode="bilinear", align_corners=False
+        )
+        depth = coarse + fine.float()
+        descriptors = self.to_descriptor(quarter).flatten(2).mT.float()
+        split = (batch, count)
+        return RawGeometry(
+            features=features.unflatten(0, split),
+            log_depths=depth[:, 0].clamp(-4, 4).unflatten(0, split),
+            log_confidences=depth[:, 1].clamp(-4, 6).unflatten(0, split),
+            descriptors=functional.normalize(descriptors, dim=-1).unflatten(0, split),
+            log_focal=self.to_focal(features.mean(1)).float().squeeze(-1).unflatten(0, split),
+        )
+
+    def match(
+        self,
+        descriptors_a: Float[Tensor, "batch cell channel"],
+        descriptors_b: Float[Tensor, "batch other channel"],
+    ) -> tuple[Float[Tensor, "batch cell other"], Float[Tensor, "batch cell"]]:
+        """Logits of each cell of a to lie at each cell of b, and the logarithm of their total.
+
+        The total includes one more outcome, "not seen in b", whose logit is no_match(): the
+        probabilities exp(logit - total) sum to less than 1.
+        """
+        logits = descriptors_a @ descriptors_b.mT * self.log_sharpness.exp()
+        return logits, torch.logaddexp(logits.logsumexp(dim=-1), self.no_match())
+
+    def no_match(self) -> Float[Tensor, ""]:
+        """Logit of "not seen": that of a cell of one learned cosine, times the cells it beats."""
+        return self.log_sharpness.exp() * self.no_match_cosine + 4.0
+
+    def forward(self, views: Views) -> Geometry:
+        """Geometry of the views; depth and cameras that are given are kept, the rest is solved.
+
+        Predicted depth is in units of about the scene's mean depth. Where cameras or depth are
+        given, the units are theirs. The solved cameras are not differentiable.
+        """
+        raw = self.encode(views)
+        with torch.autocast(views.images.device.type, enabled=False):
+            intrinsics = self.intrinsics(views, raw)
+            depths = raw.log_depths.float().exp()
+            if views.depths is not None:
+                depths = _fill_unknown(views.depths, depths)
+            if views.cam_from_world is not None:
+                cam_from_first = relative_to_first(views.cam_from_world)
+                if views.depths is None:
+                    depths = depths * self._known_scale(raw, depths, intrinsics, cam_from_first)
+            else:
+                cam_from_first = self.solve_cameras(raw, depths, intrinsics)
+            points = unproject(depths, intrinsics)
+            pointmaps = transform_points(inverse(cam_from_first), points.flatten(2, 3))
+            return Geometry(
+                features=raw.features,
+                depths=depths,
+                pointmaps=pointmaps.view_as(points),
+                confidences=1 + raw.log_confidences.float().exp(),
+                cameras=Cameras(cam_from_first, intrinsics),
+            )
+
+    def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:
+        """The given intrinsics, or predicted ones with the principal point in the middle."""
+        if views.intrinsics is not None:
+            return views.intrinsics.float()
+        height, width = views.images.shape[-2:]
+        typical = torch.tensor(self.config.typical_field_of_view_rad)
+        base = intrinsics_from_field_of_view(typical, max(height, width), max(height, width))
+        result = base.to(raw.log_focal).expand(*raw.log_focal.shape, 3, 3).clone()
+        result[..., 0, 0] = result[..., 0, 0] * raw.log_focal.exp()
+        result[..., 1, 1] = result[..., 1, 1] * raw.log_focal.exp()
+        result[..., 0, 2], result[..., 1, 2] = 0.5 * width, 0.5 * height
+        return result
+
+    def solve_cameras(
+        self,
+        raw: RawGeometry,
+        depths: Float[Tensor, "batch view height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+    ) -> Float[Tensor, "batch view 4 4"]:
+        """cam_from_first of every view: pairs by their matches, joined along the best tree."""
+        batch, count = depths.shape[:2]
+        pairs = [(a, b) for a in range(count) for b in range(a + 1, count)]
+        scores = torch.zeros(batch, count, count)
+        relative: dict[tuple[int, int], Tensor] = {}
+        for a, b in pairs:
+            matches = self.match_views(raw, depths, intrinsics, a, b)
+            relative[a, b] = register_pair(*matches)
+            scores[:, a, b] = (matches[3].mean(-1) * matches[7].mean(-1)).sqrt().cpu()
+        scenes = []
+        for scene in range(batch):
+            edges = spanning_tree(scores[scene])
+            steps = {pair: matrices[scene] for pair, matrices in relative.items()}
+            scenes.append(compose_along_tree(steps, edges).to(depths))
+        return torch.stack(scenes)
+
+    @torch.no_grad()
+    def match_views(
+        self,
+        raw: RawGeometry,
+        depths: Float[Tensor, "batch view height width"],
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        a: int,
+        b: int,
+    ) -> tuple[Tensor, ...]:
+        """Both directions of the matches of two views, in the order register_pair takes them."""
+        points, rays = [], []
+        for view in (a, b):
+            coarse = functional.avg_pool2d(depths[:, view, None].log(), MATCH_STRIDE)[:, 0].exp()
+            directions = _cell_rays(intrinsics[:, view], depths.shape[-2:])
+            points.append((directions * coarse[..., None]).flatten(1, 2))
+            rays.append(directions[..., :2].flatten(1, 2))
+        columns = depths.shape[-1] // MATCH_STRIDE
+        ways = []
+        for here, there in ((0, 1), (1, 0)):
+            views = (a, b) if here == 0 else (b, a)
+            logits, total = self.match(raw.descriptors[:, views[0]], raw.descriptors[:, views[1]])
+            share, trust = _sharpen((logits - total[..., None]).exp(), columns)
+            ways += [points[here], share @ rays[there], share @ points[there], trust]
+        return tuple(ways)
+
+    def _known_scale(
+        self, raw: RawGeometry, depths: Tensor, intrinsics: Tensor, cam_from_first: Tensor
+    ) -> Float[Tensor, "batch 1 1 1"]:
+        """Given units in one predicted unit: given baselines over those the matches ask for."""
+        solved = self.solve_cameras(raw, depths, intrinsics)
+        given_length = inverse(cam_from_first)[..., :3, 3].norm(dim=-1).sum(-1)
+        solved_length = inverse(solved)[..., :3, 3].norm(dim=-1).sum(-1)
+        usable = (given_length > 1e-6) & (solved_length > 1e-6)
+        scale = torch.where(usable, given_length / solved_length.clamp_min(1e-6), 1.0)
+        return scale[:, None, None, None]
+
+    def _positions(self, views: Views, rows: int, columns: int) -> Tensor:
+        """Embedding of where each patch lies in its image and, if known, of its viewing ray."""
+        height, width = views.images.shape[-2:]
+        centers = pixel_centers(rows, columns, like=views.images) * self.patch_size
+        middle = torch.tensor([0.5 * width, 0.5 * height], device=views.images.device)
+        relative = (centers - middle) / (0.5 * max(height, width))
+        waves = [relative * (torch.pi / 2) * 2**octave for octave in range(4)]
+        position = torch.cat([f(wave) for wave in waves for f in (torch.sin, torch.cos)], dim=-1)
+        embedding = self.embed_position(position.flatten(0, 1))[None]
+        if views.intrinsics is None:
+            return embedding + self.unknown_ray
+        scaled = views.intrinsics.flatten(0, 1).float().clone()
+        scaled[:, :2] = scaled[:, :2] / self.patch_size
+        rays = pixel_rays(scaled, rows, columns)[..., :2]
+        return embedding + self.embed_ray(rays.flatten(1, 2))
+
+
+def _cell_rays(intrinsics: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
+    """Rays through the centres of the descriptor cells, [batch, rows, columns, 3]."""
+    scaled = intrinsics.clone()
+    scaled[:, :2] = scaled[:, :2] / MATCH_STRIDE
+    return pixel_rays(scaled, size[0] // MATCH_STRIDE, size[1] // MATCH_STRIDE)
+
+
+def _sharpen(probability: Tensor, columns: int, radius: int = 2) -> tuple[Tensor, Tensor]:
+    """Match probabilities cut to a window around the best cell, and the trust in each match.
+
+    The mean over a window around the peak lies between cells and is not drawn away by other
+    modes. The trust is the probability in the window.
+    """
+    best = probability.argmax(dim=-1)
+    cell = torch.arange(probability.shape[-1], device=probability.device)
+    near_x = (cell % columns - (best % columns)[..., None]).abs() <= radius
+    near_y = (cell // columns - (best // columns)[..., None]).abs() <= radius
+    window = probability * (near_x & near_y)
+    trust = window.sum(-1)
+    return window / trust.clamp_min(1e-9)[..., None], trust
+
+
+def _fill_unknown(given: Tensor, predicted: Tensor) -> Tensor:
+    """Given depth, with holes filled by predicted depth brought to its scale (median ratio)."""
+    scenes = []
+    for given_scene, predicted_scene in zip(given.float(), predicted, strict=True):
+        known = given_scene > 0
+        if not known.any():
+            raise ValueError("depths has no pixel with a known depth (> 0); leave it None")
+        scale = (given_scene[known] / predicted_scene[known]).median()
+        scenes.append(torch.where(known, given_scene, predicted_scene * scale))
+    return torch.stack(scenes)
