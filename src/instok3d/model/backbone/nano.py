@@ -16,14 +16,10 @@ from instok3d.geometry.cameras import (
     intrinsics_from_field_of_view,
     pixel_centers,
     pixel_rays,
-    relative_to_first,
-    transform_points,
-    unproject,
 )
-from instok3d.geometry.cameras import invert_rigid as inverse
 from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
-from instok3d.model.backbone.base import GeometryBackbone
-from instok3d.types import Cameras, Geometry, Views
+from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.types import Geometry, Views
 
 MATCH_STRIDE = 4
 """Pixels between neighbouring descriptors: twice as fine as the patches."""
@@ -163,8 +159,8 @@ class NanoBackbone(GeometryBackbone):
         self.to_focal = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 1))
         nn.init.normal_(self.to_coarse_depth.weight, std=0.01)
         nn.init.normal_(self.to_fine_depth.weight, std=0.01)
-        nn.init.zeros_(self.to_focal[2].weight)
-        nn.init.zeros_(self.to_focal[2].bias)
+        for parameter in self.to_focal[2].parameters():
+            nn.init.zeros_(parameter)
 
     def encode(self, views: Views) -> RawGeometry:
         """Run the network: everything that is learned, nothing that is solved."""
@@ -177,7 +173,7 @@ class NanoBackbone(GeometryBackbone):
         images = views.images.flatten(0, 1) * 2 - 1
         half, quarter, eighth = self.stem(images.contiguous(memory_format=torch.channels_last))
         rows, columns = eighth.shape[-2:]
-        tokens = eighth.flatten(2).mT + self._positions(views, rows, columns)
+        frame = tokens = eighth.flatten(2).mT + self._positions(views, rows, columns)
         for frame_block, global_block in zip(self.frame_blocks, self.global_blocks, strict=True):
             frame = frame_block(tokens)
             tokens = global_block(frame.view(batch, count * rows * columns, -1)).view_as(frame)
@@ -229,21 +225,18 @@ class NanoBackbone(GeometryBackbone):
             depths = raw.log_depths.float().exp()
             if views.depths is not None:
                 depths = _fill_unknown(views.depths, depths)
-            if views.cam_from_world is not None:
-                cam_from_first = relative_to_first(views.cam_from_world)
-                if views.depths is None:
-                    depths = depths * self._known_scale(raw, depths, intrinsics, cam_from_first)
+            if views.cam_from_world is not None and views.depths is not None:
+                cam_from_world = views.cam_from_world.float()
             else:
-                cam_from_first = self.solve_cameras(raw, depths, intrinsics)
-            points = unproject(depths, intrinsics)
-            pointmaps = transform_points(inverse(cam_from_first), points.flatten(2, 3))
-            return Geometry(
-                features=raw.features,
-                depths=depths,
-                pointmaps=pointmaps.view_as(points),
-                confidences=1 + raw.log_confidences.float().exp(),
-                cameras=Cameras(cam_from_first, intrinsics),
-            )
+                cam_from_world = self.solve_cameras(raw, depths, intrinsics)
+        prediction = Prediction(
+            features=raw.features,
+            depths=depths,
+            confidences=1 + raw.log_confidences.float().exp(),
+            cam_from_world=cam_from_world,
+            intrinsics=intrinsics,
+        )
+        return settle_geometry(views, prediction)
 
     def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:
         """The given intrinsics, or predicted ones with the principal point in the middle."""
@@ -264,21 +257,35 @@ class NanoBackbone(GeometryBackbone):
         depths: Float[Tensor, "batch view height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
     ) -> Float[Tensor, "batch view 4 4"]:
-        """cam_from_first of every view: pairs by their matches, joined along the best tree."""
-        batch, count = depths.shape[:2]
-        pairs = [(a, b) for a in range(count) for b in range(a + 1, count)]
-        scores = torch.zeros(batch, count, count)
-        relative: dict[tuple[int, int], Tensor] = {}
-        for a, b in pairs:
-            matches = self.match_views(raw, depths, intrinsics, a, b)
-            relative[a, b] = register_pair(*matches)
-            scores[:, a, b] = (matches[3].mean(-1) * matches[7].mean(-1)).sqrt().cpu()
+        """cam_from_first of every view: the pairs along the tree of best matches, composed."""
+        scores = self.overlap_scores(raw)
         scenes = []
-        for scene in range(batch):
-            edges = spanning_tree(scores[scene])
-            steps = {pair: matrices[scene] for pair, matrices in relative.items()}
+        for scene, table in enumerate(scores):
+            edges = spanning_tree(table)
+            steps = {}
+            for a, b in edges:
+                one = slice(scene, scene + 1)
+                matches = self.match_views(raw, depths, intrinsics, a, b, one)
+                steps[a, b] = register_pair(*matches)[0]
             scenes.append(compose_along_tree(steps, edges).to(depths))
         return torch.stack(scenes)
+
+    @torch.no_grad()
+    def overlap_scores(self, raw: RawGeometry) -> Float[Tensor, "batch view view"]:
+        """Share of a view's cells that are seen in another view, from every 17th cell.
+
+        17 shares no factor with the usual numbers of columns, so the cells spread evenly.
+        """
+        queries = raw.descriptors[:, :, ::17]
+        batch, count = queries.shape[:2]
+        scores = torch.zeros(batch, count, count)
+        for a in range(count):
+            for b in range(count):
+                if a != b:
+                    _, total = self.match(queries[:, a], raw.descriptors[:, b])
+                    seen = 1 - (self.no_match() - total).exp()
+                    scores[:, a, b] = seen.mean(-1).cpu()
+        return scores
 
     @torch.no_grad()
     def match_views(
@@ -288,33 +295,25 @@ class NanoBackbone(GeometryBackbone):
         intrinsics: Float[Tensor, "batch view 3 3"],
         a: int,
         b: int,
+        scenes: slice,
     ) -> tuple[Tensor, ...]:
         """Both directions of the matches of two views, in the order register_pair takes them."""
         points, rays = [], []
         for view in (a, b):
-            coarse = functional.avg_pool2d(depths[:, view, None].log(), MATCH_STRIDE)[:, 0].exp()
-            directions = _cell_rays(intrinsics[:, view], depths.shape[-2:])
+            fine = depths[scenes, view, None].log()
+            coarse = functional.avg_pool2d(fine, MATCH_STRIDE)[:, 0].exp()
+            directions = _cell_rays(intrinsics[scenes, view], depths.shape[-2:])
             points.append((directions * coarse[..., None]).flatten(1, 2))
             rays.append(directions[..., :2].flatten(1, 2))
         columns = depths.shape[-1] // MATCH_STRIDE
         ways = []
         for here, there in ((0, 1), (1, 0)):
             views = (a, b) if here == 0 else (b, a)
-            logits, total = self.match(raw.descriptors[:, views[0]], raw.descriptors[:, views[1]])
+            descriptors = raw.descriptors[scenes]
+            logits, total = self.match(descriptors[:, views[0]], descriptors[:, views[1]])
             share, trust = _sharpen((logits - total[..., None]).exp(), columns)
             ways += [points[here], share @ rays[there], share @ points[there], trust]
         return tuple(ways)
-
-    def _known_scale(
-        self, raw: RawGeometry, depths: Tensor, intrinsics: Tensor, cam_from_first: Tensor
-    ) -> Float[Tensor, "batch 1 1 1"]:
-        """Given units in one predicted unit: given baselines over those the matches ask for."""
-        solved = self.solve_cameras(raw, depths, intrinsics)
-        given_length = inverse(cam_from_first)[..., :3, 3].norm(dim=-1).sum(-1)
-        solved_length = inverse(solved)[..., :3, 3].norm(dim=-1).sum(-1)
-        usable = (given_length > 1e-6) & (solved_length > 1e-6)
-        scale = torch.where(usable, given_length / solved_length.clamp_min(1e-6), 1.0)
-        return scale[:, None, None, None]
 
     def _positions(self, views: Views, rows: int, columns: int) -> Tensor:
         """Embedding of where each patch lies in its image and, if known, of its viewing ray."""
@@ -361,7 +360,8 @@ def _fill_unknown(given: Tensor, predicted: Tensor) -> Tensor:
     for given_scene, predicted_scene in zip(given.float(), predicted, strict=True):
         known = given_scene > 0
         if not known.any():
-            raise ValueError("depths has no pixel with a known depth (> 0); leave it None")
+            scenes.append(predicted_scene)
+            continue
         scale = (given_scene[known] / predicted_scene[known]).median()
         scenes.append(torch.where(known, given_scene, predicted_scene * scale))
     return torch.stack(scenes)
