@@ -1,0 +1,195 @@
+"""The whole state of a run in one file: what is needed to go on as if it had never stopped."""
+
+import json
+import pickle
+import random
+import subprocess
+import warnings
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from instok3d.files import replacing
+
+KEPT = 2
+"""Checkpoints that stay: should the newest be torn, the one before it takes over."""
+
+
+class WeightAverage:
+    """Exponential moving average of a model's trained parameters.
+
+    Early on the decay is (1 + step) / (10 + step), so that the average forgets the random start.
+    """
+
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.decay = decay
+        self.values = {name: p.detach().clone() for name, p in _trained(model).items()}
+
+    @torch.no_grad()
+    def update(self, model: nn.Module, step: int) -> None:
+        """Move the average towards the weights after the update of `step`."""
+        keep = min(self.decay, (1 + step) / (10 + step))
+        trained = _trained(model)
+        for name, value in self.values.items():
+            value.lerp_(trained[name], 1 - keep)
+
+    @contextmanager
+    def applied(self, model: nn.Module) -> Iterator[None]:
+        """The model with the averaged weights; its own come back at the end."""
+        trained = _trained(model)
+        own = {name: p.detach().clone() for name, p in trained.items()}
+        _copy(self.values, trained)
+        try:
+            yield
+        finally:
+            _copy(own, trained)
+
+
+def _trained(model: nn.Module) -> dict[str, nn.Parameter]:
+    return {name: p for name, p in model.named_parameters() if p.requires_grad}
+
+
+@torch.no_grad()
+def _copy(source: Mapping[str, Tensor], target: Mapping[str, Tensor]) -> None:
+    for name, tensor in target.items():
+        tensor.copy_(source[name])
+
+
+@dataclass
+class RunState:
+    """Everything that changes while a run goes on."""
+
+    model: nn.Module
+    optimizer: torch.optim.Optimizer
+    average: WeightAverage
+    step: int = 0
+    """Updates done; also the position in the data, which is a function of it."""
+    elapsed_s: float = 0.0
+    skipped: int = 0
+    """Updates left out because of a non-finite gradient."""
+    skipped_in_a_row: int = 0
+    scene_seeds: list[int] = field(default_factory=list)
+    """The scenes of the data set that this run uses, held-out ones first."""
+
+
+def save_checkpoint(folder: Path, state: RunState, config: dict[str, Any]) -> Path:
+    """Write checkpoints/step_N.pt, atomically, and remove all but the last two.
+
+    Args:
+        folder: The run.
+        state: Its state; RNGs of torch, numpy and python are taken from the process.
+        config: Settings of the run, for a reader.
+    """
+    checkpoints = folder / "checkpoints"
+    checkpoints.mkdir(parents=True, exist_ok=True)
+    path = checkpoints / f"step_{state.step:08d}.pt"
+    content = {
+        "version": 1,
+        "step": state.step,
+        "elapsed_s": state.elapsed_s,
+        "skipped": state.skipped,
+        "skipped_in_a_row": state.skipped_in_a_row,
+        "scene_seeds": state.scene_seeds,
+        "config": json.dumps(config),
+        "commit": current_commit(),
+        "model": state.model.state_dict(),
+        "optimizer": state.optimizer.state_dict(),
+        "average": state.average.values,
+        "random": _random_state(),
+    }
+    with replacing(path) as part:
+        torch.save(content, part)
+    for old in sorted(checkpoints.glob("step_*.pt"))[:-KEPT]:
+        old.unlink()
+    return path
+
+
+def read_checkpoint(folder: Path) -> dict[str, Any]:
+    """The newest checkpoint of a run that is whole; a torn one is passed over with a warning.
+
+    Raises:
+        FileNotFoundError: The run has no checkpoint.
+        ValueError: None of its checkpoints can be read.
+    """
+    paths = sorted((folder / "checkpoints").glob("step_*.pt"), reverse=True)
+    if not paths:
+        raise FileNotFoundError(f"no checkpoint in {folder / 'checkpoints'}: nothing to go on from")
+    for path in paths:
+        try:
+            with zipfile.ZipFile(path) as archive:  # torch.load does not look at the checksums
+                if broken := archive.testzip():
+                    raise zipfile.BadZipFile(f"wrong checksum of {broken}")
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except (RuntimeError, EOFError, OSError, zipfile.BadZipFile, pickle.UnpicklingError) as e:
+            reason = str(e).splitlines()[0] if str(e) else type(e).__name__
+            warnings.warn(f"{path.name} is damaged ({reason}); trying the one before", stacklevel=2)
+    raise ValueError(f"all checkpoints in {folder / 'checkpoints'} are damaged; start the run anew")
+
+
+def restore(state: RunState, checkpoint: dict[str, Any]) -> None:
+    """Put a checkpoint into a freshly built state and into the process's RNGs."""
+    state.model.load_state_dict(checkpoint["model"])
+    state.optimizer.load_state_dict(checkpoint["optimizer"])
+    _copy(checkpoint["average"], state.average.values)
+    state.step = checkpoint["step"]
+    state.elapsed_s = checkpoint["elapsed_s"]
+    state.skipped = checkpoint["skipped"]
+    state.skipped_in_a_row = checkpoint["skipped_in_a_row"]
+    state.scene_seeds = checkpoint["scene_seeds"]
+    _set_random_state(checkpoint["random"])
+
+
+def read_weights(path: Path) -> dict[str, Tensor]:
+    """Weights to start another run from: averaged ones of a run folder or a .safetensors file.
+
+    Raises:
+        FileNotFoundError: There is nothing at the path, or no checkpoint in the run.
+    """
+    if path.is_dir():
+        checkpoint = read_checkpoint(path)
+        return {**checkpoint["model"], **checkpoint["average"]}
+    if not path.is_file():
+        raise FileNotFoundError(f"no run folder and no .safetensors file at {path}")
+    return {name: tensor.float() for name, tensor in load_file(path).items()}
+
+
+def current_commit() -> str:
+    """The commit of this source tree, "+" if it was changed since, "unknown" outside git."""
+    command = ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"]
+    try:
+        found = subprocess.run(
+            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()
+
+
+def _random_state() -> dict[str, Any]:
+    kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    state = {
+        "torch": torch.get_rng_state(),
+        # No numpy array may stand in a file that is read with weights_only.
+        "numpy": (kind, torch.tensor(np.asarray(keys).tolist()), position, has_gauss, gauss),
+        "python": random.getstate(),
+    }
+    if torch.cuda.is_available():
+        state["cuda"] = torch.cuda.get_rng_state_all()
+    return state
+
+
+def _set_random_state(state: dict[str, Any]) -> None:
+    kind, keys, position, has_gauss, gauss = state["numpy"]
+    torch.set_rng_state(state["torch"])
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), position, has_gauss, gauss))
+    random.setstate(state["python"])
+    if "cuda" in state and torch.cuda.is_available():
+        torch.cuda.set_rng_state_all(state["cuda"])

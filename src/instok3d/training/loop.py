@@ -1,0 +1,366 @@
+"""The training loop, read from top to bottom: validate, picture, save, step, log."""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
+
+import torch
+from torch import nn
+
+from instok3d.data.batches import RoomBatches, SceneSource, make_sample
+from instok3d.data.sample import Sample, collate
+from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
+from instok3d.files import replacing, write_json
+from instok3d.training.checkpoint import (
+    RunState,
+    WeightAverage,
+    current_commit,
+    read_checkpoint,
+    read_weights,
+    restore,
+    save_checkpoint,
+)
+from instok3d.training.config import TrainConfig, to_json
+from instok3d.training.plots import plot_curves
+from instok3d.training.run_log import RunLog
+from instok3d.training.schedule import learning_rate
+from instok3d.training.stages import Stage, StepLoss
+
+
+@runtime_checkable
+class SeededSource(SceneSource, Protocol):
+    """A data set that knows the seed of each of its scenes without reading it."""
+
+    @property
+    def seeds(self) -> "tuple[int, ...] | list[int]":
+        """Seeds by scene number."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrainOutcome:
+    """How a run ended."""
+
+    step: int
+    reason: Literal["finished", "time limit", "interrupted"]
+
+
+class NonFiniteLossError(RuntimeError):
+    """The loss or the gradient is not finite; the update was not made and the batch is saved."""
+
+
+def train(
+    config: TrainConfig,
+    stage: Stage,
+    source: SeededSource,
+    folder: Path,
+    *,
+    resume: bool = False,
+    init_from: Path | None = None,
+    time_limit_min: float | None = None,
+) -> TrainOutcome:
+    """Train one stage and leave checkpoints, metrics, pictures and curves in `folder`.
+
+    SIGINT and SIGTERM end the run after the update in hand, with a checkpoint; a second one
+    ends it at once.
+
+    Args:
+        config: Settings; on resuming they must be those of the run except where it ends.
+        stage: What is trained, built from config.stage.
+        source: Scenes. The run uses those that are there when it starts, also after resuming.
+        folder: The run.
+        resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
+        init_from: A run folder or .safetensors file to take first weights from.
+        time_limit_min: Stop with a checkpoint after this many minutes of this call.
+
+    Raises:
+        ValueError: The folder holds a run and resume is off, or the data set is too small.
+        FileNotFoundError: Nothing to resume.
+        NonFiniteLossError: Training diverged.
+    """
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    state = new_state(config, stage)
+    if resume:
+        restore(state, read_checkpoint(folder))
+    elif (folder / "checkpoints").exists():
+        raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
+    else:
+        state.scene_seeds = list(source.seeds)
+        if init_from is not None:
+            stage.load_initial(state.model, read_weights(init_from))
+            state.average = WeightAverage(state.model, config.ema_decay)
+    write_json(folder / "config.json", {**to_json(config), "commit": current_commit()})
+    held_out, training = split_scenes(source, state.scene_seeds, config.holdout)
+    batches = RoomBatches(source, training, config.batches, seed=config.seed)
+    validation = {v: validation_samples(source, held_out, v) for v in config.validation_views}
+    log = RunLog(folder, total_steps=config.steps, first_step=state.step)
+    log.say(
+        f"{len(training)} scenes to train on, {len(held_out)} held out, "
+        f"{sum(p.numel() for p in state.model.parameters() if p.requires_grad) / 1e6:.2f} M "
+        f"trained parameters, step {state.step} of {config.steps}"
+    )
+
+    start = last_validation = last_save = time.monotonic()
+    elapsed_before_s = state.elapsed_s
+    sums = RunningMeans()
+    with stop_requests() as requests:
+        for step, sample in batches.iterate(state.step):
+            now = time.monotonic()
+            state.elapsed_s = elapsed_before_s + now - start
+            reason = _end(config, step, now - start, time_limit_min, bool(requests))
+
+            # Validate and draw, also before the first step and at the end, on averaged weights.
+            due = now - last_validation >= config.validate_every_s
+            if step == 0 or (reason and reason != "interrupted") or due or (
+                config.validate_every_steps and step % config.validate_every_steps == 0
+            ):  # fmt: skip
+                figures = validate(config, stage, state, validation, folder)
+                log.validation(step, state.elapsed_s, figures)
+                plot_curves(log.path, folder / "curves.png")
+                last_validation = time.monotonic()
+                log.pause(last_validation - now)
+
+            # Save.
+            before_save = time.monotonic()
+            due = before_save - last_save >= config.checkpoint_every_s
+            if reason or due or (
+                config.checkpoint_every_steps and step and step % config.checkpoint_every_steps == 0
+            ):  # fmt: skip
+                save_checkpoint(folder, state, to_json(config))
+                last_save = time.monotonic()
+                log.pause(last_save - before_save)
+            if reason:
+                log.say(f"{reason} at step {step}")
+                return TrainOutcome(step, reason)
+
+            # Step.
+            rate = learning_rate(
+                step,
+                peak=config.lr,
+                warmup_steps=config.warmup_steps,
+                cosine_steps=config.cosine_steps or config.steps,
+                final_fraction=config.final_lr_fraction,
+            )
+            figures = train_step(config, stage, state, sample, rate, folder)
+            state.step += 1
+
+            # Log.
+            sums.add(figures)
+            if state.step % config.log_every_steps == 0 or state.step == config.steps:
+                log.train(state.step, state.elapsed_s, sums.take() | {"lr": rate})
+    raise AssertionError("batches never end")
+
+
+def new_state(config: TrainConfig, stage: Stage) -> RunState:
+    """Model, optimizer and average before the first step."""
+    model = stage.build_model()
+    optimizer = torch.optim.AdamW(
+        parameter_groups(model, config.weight_decay),
+        lr=config.lr,
+        betas=config.betas,
+        fused=True,  # one kernel for all tensors; the default loops over a few hundred
+    )
+    return RunState(model, optimizer, WeightAverage(model, config.ema_decay))
+
+
+def parameter_groups(model: nn.Module, weight_decay: float) -> list[dict]:
+    """Trained parameters in two groups: decayed weights of linear maps, and all others."""
+    linear = (nn.Linear, nn.modules.conv._ConvNd)
+    decayed = {id(m.weight) for m in model.modules() if isinstance(m, linear)}
+    trained = [p for p in model.parameters() if p.requires_grad]
+    return [
+        {"params": [p for p in trained if id(p) in decayed], "weight_decay": weight_decay},
+        {"params": [p for p in trained if id(p) not in decayed], "weight_decay": 0.0},
+    ]
+
+
+def train_step(
+    config: TrainConfig,
+    stage: Stage,
+    state: RunState,
+    sample: Sample,
+    rate: float,
+    folder: Path,
+) -> dict[str, float]:
+    """One update; the figures of its batch.
+
+    A finite loss whose gradient is not finite (a degenerate 3x3 SVD, say) leaves the weights
+    as they are and is counted.
+
+    Raises:
+        NonFiniteLossError: The loss is not finite, or too many gradients in a row were not.
+    """
+    model, optimizer = state.model, state.optimizer
+    model.train()
+    with torch.autocast(sample.context.images.device.type, torch.bfloat16, enabled=config.amp):
+        loss = stage.loss(model, sample, state.step)
+    if not loss.total.isfinite():
+        raise NonFiniteLossError(_save_bad_batch(state, sample, folder, loss))
+    optimizer.zero_grad(set_to_none=True)
+    loss.total.backward()
+    trained = [p for p in model.parameters() if p.requires_grad]
+    norm = nn.utils.clip_grad_norm_(trained, config.clip_norm)
+    if norm.isfinite():
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        optimizer.step()
+        state.average.update(model, state.step)
+        state.skipped_in_a_row = 0
+    else:
+        state.skipped += 1
+        state.skipped_in_a_row += 1
+        if state.skipped_in_a_row >= config.max_skipped_in_a_row:
+            raise NonFiniteLossError(_save_bad_batch(state, sample, folder, loss))
+    figures = {"loss": loss.total.item(), **{k: v.item() for k, v in loss.terms.items()}}
+    if norm.isfinite():
+        figures["grad_norm"] = norm.item()
+    return figures | ({"skipped": float(state.skipped)} if state.skipped else {})
+
+
+def _save_bad_batch(state: RunState, sample: Sample, folder: Path, loss: StepLoss) -> str:
+    path = folder / f"bad_batch_{state.step:08d}.pt"
+    views = {"context": vars(sample.context), "target": vars(sample.target)}
+    ids = {"context": sample.context_instances, "target": sample.target_instances}
+    content = {"step": state.step, "names": list(sample.names), "instances": ids, **views}
+    with replacing(path) as part:
+        torch.save(content, part)
+    terms = {name: round(value.item(), 6) for name, value in loss.terms.items()}
+    return (
+        f"loss {loss.total.item():.4g} or its gradient is not finite at step {state.step} "
+        f"(terms {terms}); the update was not made, the batch is in {path}"
+    )
+
+
+@torch.no_grad()
+def validate(
+    config: TrainConfig,
+    stage: Stage,
+    state: RunState,
+    samples: dict[int, list[Sample]],
+    folder: Path,
+) -> dict[str, float]:
+    """Figures of the averaged weights on the held-out samples, and RUN/pictures/step_N.png.
+
+    With several protocols, their figures are told apart by a prefix. Leaves the RNG as it was.
+    """
+    figures: dict[str, float] = {}
+    device = next(state.model.parameters()).device.type
+    average = state.average if config.ema_decay else WeightAverage(state.model, 0.0)
+    state.model.eval()
+    with (
+        torch.random.fork_rng(),
+        average.applied(state.model),
+        torch.autocast(device, torch.bfloat16, enabled=config.amp),
+    ):
+        for views, batches in samples.items():
+            prefix = f"{views}views_" if len(samples) > 1 else ""
+            found = stage.validate(state.model, batches)
+            figures |= {prefix + name: value for name, value in found.items()}
+        first = next(iter(samples.values()))[0]
+        picture = stage.pictures(state.model, first)
+    state.model.train()
+    path = folder / "pictures" / f"step_{state.step:08d}.png"
+    path.parent.mkdir(exist_ok=True)
+    with replacing(path) as part:
+        picture.save(part)
+    return figures
+
+
+def split_scenes(
+    source: SeededSource, seeds: list[int], holdout: int
+) -> tuple[list[int], list[int]]:
+    """Scene numbers to hold out (the first `holdout` of the seeds) and to train on.
+
+    Raises:
+        ValueError: Nothing is left to train on, or a scene of the run is no longer there.
+    """
+    if len(seeds) <= holdout:
+        raise ValueError(
+            f"the data set has {len(seeds)} scenes and {holdout} are held out: make more rooms"
+        )
+    place = {seed: index for index, seed in enumerate(source.seeds)}
+    missing = [seed for seed in seeds if seed not in place]
+    if missing:
+        raise ValueError(
+            f"the run was started with {len(missing)} scenes that the data set no longer has, "
+            f"the first is seed {missing[0]}"
+        )
+    indices = [place[seed] for seed in seeds]
+    return indices[:holdout], indices[holdout:]
+
+
+def validation_samples(
+    source: SceneSource, scenes: list[int], views: int, batch_size: int = 4
+) -> list[Sample]:
+    """The same frames of the same scenes every time, in batches.
+
+    Raises:
+        ValueError: There is no protocol for this number of views.
+    """
+    if views not in (2, 8):
+        raise ValueError(f"validation_views must hold 2 or 8, got {views}")
+    singles = []
+    for index in scenes:
+        scene = source.scene(index)
+        protocol = two_view_protocol if views == 2 else eight_view_protocol
+        singles.append(make_sample(scene, protocol(len(scene.images))))
+    size = max(1, batch_size * 2 // views)
+    return [collate(singles[k : k + size]) for k in range(0, len(singles), size)]
+
+
+class RunningMeans:
+    """Means of each figure since they were last taken."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, int]] = {}
+
+    def add(self, figures: dict[str, float]) -> None:
+        """Count one more value of each figure."""
+        for name, value in figures.items():
+            total, count = self._sums.get(name, (0.0, 0))
+            self._sums[name] = (total + value, count + 1)
+
+    def take(self) -> dict[str, float]:
+        """The means, and begin again."""
+        means = {name: total / count for name, (total, count) in self._sums.items()}
+        self._sums = {}
+        return means
+
+
+@contextmanager
+def stop_requests() -> Iterator[list[int]]:
+    """A list that grows when SIGINT or SIGTERM arrives; the second signal acts as usual."""
+    requests: list[int] = []
+
+    def note(number: int, _frame: object) -> None:
+        requests.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield requests
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end(
+    config: TrainConfig, step: int, spent_s: float, time_limit_min: float | None, stopped: bool
+) -> Literal["finished", "time limit", "interrupted"] | None:
+    if step >= config.steps:
+        return "finished"
+    if stopped:
+        return "interrupted"
+    if time_limit_min is not None and spent_s >= 60 * time_limit_min:
+        return "time limit"
+    return None

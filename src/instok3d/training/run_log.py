@@ -1,0 +1,81 @@
+"""The record of a run: metrics.jsonl, one line on the console, curves."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from instok3d.files import replacing
+
+
+class RunLog:
+    """Appends to RUN/metrics.jsonl and prints; a resumed run drops lines after its checkpoint.
+
+    Each line of the file is an object with kind ("train" or "validation"), step, elapsed_s and
+    the figures.
+    """
+
+    def __init__(self, folder: Path, *, total_steps: int, first_step: int = 0) -> None:
+        self.path = folder / "metrics.jsonl"
+        self.total_steps = total_steps
+        self._drop_after(first_step)
+        self._last_step, self._last_time = first_step, time.monotonic()
+
+    def train(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
+        """Write a line of training figures and print it with speed and time to the end."""
+        now = time.monotonic()
+        step_s = (now - self._last_time) / max(1, step - self._last_step)
+        self._last_step, self._last_time = step, now
+        self._write("train", step, elapsed_s, {**figures, "step_s": step_s})
+        left = format_duration(step_s * (self.total_steps - step))
+        self.say(
+            f"step {step}/{self.total_steps}  {format_figures(figures)}  "
+            f"{step_s:.2f} s/step  {left} left"
+        )
+
+    def validation(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
+        """Write and print validation figures."""
+        self._write("validation", step, elapsed_s, figures)
+        self.say(f"step {step}/{self.total_steps}  validation  {format_figures(figures)}")
+
+    def say(self, text: str) -> None:
+        """One line on the console."""
+        print(text, file=sys.stderr, flush=True)
+
+    def pause(self, seconds: float) -> None:
+        """Leave time that was not spent on steps (validation, saving) out of the speed."""
+        self._last_time += seconds
+
+    def _write(self, kind: str, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
+        line = {"kind": kind, "step": step, "elapsed_s": round(elapsed_s, 1)}
+        line |= {name: float(f"{value:.6g}") for name, value in figures.items()}
+        with self.path.open("a") as stream:
+            stream.write(json.dumps(line) + "\n")
+
+    def _drop_after(self, step: int) -> None:
+        kept = [line for line in read_metrics(self.path) if line["step"] <= step]
+        with replacing(self.path) as part:
+            part.write_text("".join(json.dumps(line) + "\n" for line in kept))
+
+
+def read_metrics(path: Path) -> list[dict]:
+    """The lines of a metrics.jsonl; a last line that was cut short is left out."""
+    if not path.exists():
+        return []
+    lines = path.read_text().splitlines()
+    result = [json.loads(line) for line in lines[:-1]]
+    try:
+        return [*result, *(json.loads(line) for line in lines[-1:])]
+    except json.JSONDecodeError:
+        return result
+
+
+def format_figures(figures: dict[str, float]) -> str:
+    """Names and four digits of each figure, on one line."""
+    return "  ".join(f"{name} {value:.4g}" for name, value in figures.items())
+
+
+def format_duration(seconds: float) -> str:
+    """Hours and minutes, or minutes and seconds below an hour."""
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes // 60}h{minutes % 60:02d}m" if minutes >= 60 else f"{minutes}m{rest:02d}s"

@@ -1,0 +1,216 @@
+"""Stage "tokenizer": anchors, groups and Gaussians learn from photos and 2D masks (Sec. 3, 4)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL.Image import Image
+from torch import Tensor, nn
+
+from instok3d.data.sample import Sample, photos_only
+from instok3d.evaluation.image_quality import psnr
+from instok3d.evaluation.instance_ap import (
+    ApSettings,
+    average_precision,
+    match_image,
+    predicted_masks,
+)
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.objectives.lpips import load_lpips
+from instok3d.objectives.rendering import rendering_loss
+from instok3d.objectives.segmentation import segmentation_loss
+from instok3d.render import render
+from instok3d.training.alignment import cameras_in_prediction
+from instok3d.training.pictures import color_picture, contact_sheet, id_picture
+from instok3d.training.schedule import warmed_up
+from instok3d.training.stages import StepLoss
+from instok3d.types import Cameras, Rendering, TokenGroups
+
+
+@dataclass(frozen=True)
+class TokenizerStageConfig:
+    """What the tokenizer stage trains."""
+
+    backbone: NanoConfig = field(default_factory=NanoConfig)
+    tokenizer: TokenizerConfig = field(default_factory=TokenizerConfig)
+    freeze_backbone: bool = True
+    """As the paper does (Sec. 4)."""
+    given_probability: float = 0.5
+    """Share of the steps that get true depth and cameras; the others see photos alone. The paper
+    always predicts; one set of weights is to serve RGB-D cameras too."""
+    intrinsics_probability: float = 0.5
+    """Of the steps with photos alone, the share in which the intrinsics are known."""
+    seg_weight: float = 0.1
+    """lambda_seg, the weight of the grouping loss (Eq. 6)."""
+    seg_warmup_steps: int = 1500
+    """Steps over which seg_weight rises linearly from 0 (Sec. 4)."""
+    l1_weight: float = 0.0
+    """Mean absolute colour error; not in the paper."""
+    gradient_weight: float = 0.0
+    """Mean absolute error of colour differences between neighbours, for sharper renders; not in
+    the paper."""
+    lpips_weight: float = 0.0
+    """The paper has 0.05; needs lpips_file."""
+    lpips_file: Path | None = None
+    """Weights of LPIPS as safetensors."""
+
+
+class TokenizerStage:
+    """Rendering and grouping losses of the tokenizer on a frozen backbone."""
+
+    def __init__(self, config: TokenizerStageConfig) -> None:
+        self.config = config
+        self.lpips = load_lpips(config.lpips_file) if config.lpips_file else None
+
+    def build_model(self) -> Tokenizer:
+        """A new tokenizer on a new backbone, which `load_initial` fills."""
+        model = Tokenizer(NanoBackbone(self.config.backbone), self.config.tokenizer)
+        model.backbone.requires_grad_(not self.config.freeze_backbone)
+        return model
+
+    def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
+        """All weights of a tokenizer run, or the backbone's of a geometry run."""
+        assert isinstance(model, Tokenizer)
+        whole = any(name.startswith("backbone.") for name in weights)
+        (model if whole else model.backbone).load_state_dict(dict(weights))
+
+    def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
+        """MSE (+ LPIPS) + lambda_seg (BCE + Dice) on the target views, Eq. 4 to 6."""
+        assert isinstance(model, Tokenizer)
+        config = self.config
+        draw, intrinsics_draw = np.random.default_rng([4, step]).random(2)
+        given = bool(draw < config.given_probability)
+        know_intrinsics = bool(intrinsics_draw < config.intrinsics_probability)
+        groups, rendering = self._run(model, sample, given=given, intrinsics=know_intrinsics)
+        assert rendering.features is not None
+        images = sample.target.images
+        picture = rendering_loss(
+            rendering.colors, images, lpips=self.lpips, lpips_weight=config.lpips_weight
+        )
+        total = picture.total
+        mode = "given" if given else "predicted"
+        terms = {f"mse_{mode}": picture.mse}
+        if config.lpips_weight:
+            terms["lpips"] = picture.lpips
+        if config.l1_weight:
+            total = total + config.l1_weight * (rendering.colors - images).abs().mean()
+        if config.gradient_weight:
+            total = total + config.gradient_weight * gradient_error(rendering.colors, images)
+        # The matching refuses NaN; the loop wants to see it as a loss that is not finite.
+        if rendering.features.sum().isfinite():
+            grouping = segmentation_loss(rendering.features, sample.target_instances)
+            weight = warmed_up(step, weight=config.seg_weight, warmup_steps=config.seg_warmup_steps)
+            total = total + weight * grouping.total
+            terms |= {f"seg_{mode}": grouping.total, "bce": grouping.bce, "dice": grouping.dice}
+        else:
+            total = total + rendering.features.sum()
+        terms["void"] = groups.assignment[..., -1].mean()
+        return StepLoss(total, {name: value.detach() for name, value in terms.items()})
+
+    def validate(self, model: nn.Module, samples: Sequence[Sample]) -> dict[str, float]:
+        """PSNR, grouping loss, AP and groups used, from photos alone and with geometry given."""
+        assert isinstance(model, Tokenizer)
+        figures: dict[str, float] = {}
+        for mode in ("predicted", "given"):
+            quality, seg, used, matches = [], [], [], []
+            for sample in samples:
+                groups, rendering = self._run(model, sample, given=mode == "given")
+                assert rendering.features is not None
+                quality.append(psnr(rendering.colors, sample.target.images).flatten())
+                grouping = segmentation_loss(rendering.features, sample.target_instances)
+                seg.append(grouping.total.item())
+                used += groups_used(groups)
+                matches += _matches(rendering, sample)
+            precision = average_precision(matches)
+            figures |= {
+                f"{mode}_psnr": float(torch.cat(quality).mean()),
+                f"{mode}_seg": float(np.mean(seg)),
+                f"{mode}_ap": precision.ap or 0.0,
+                f"{mode}_ap50": precision.ap50 or 0.0,
+                f"{mode}_ap25": precision.ap25 or 0.0,
+                f"{mode}_groups": float(np.mean(used)),
+            }
+        return figures
+
+    def pictures(self, model: nn.Module, sample: Sample) -> Image:
+        """Contexts, target, true ids; then render and group ids from photos and from depth."""
+        assert isinstance(model, Tokenizer)
+        columns = ["context", "context", "target", "true ids"]
+        columns += ["render", "groups", "render, given", "groups, given"]
+        rows = [
+            [
+                *(color_picture(sample.context.images[k, v]) for v in (0, -1)),
+                color_picture(sample.target.images[k, 0]),
+                id_picture(sample.target_instances[k, 0]),
+            ]
+            for k in range(len(sample.names))
+        ]
+        for given in (False, True):
+            _, rendering = self._run(model, sample, given=given)
+            assert rendering.features is not None
+            for k, row in enumerate(rows):
+                winners = predicted_masks(rendering.features[k, 0], rendering.alphas[k, 0]).ids
+                row.append(color_picture(rendering.colors[k, 0]))
+                row.append(id_picture(torch.from_numpy(winners) + 1))
+        return contact_sheet(rows, columns)
+
+    def _run(
+        self, model: Tokenizer, sample: Sample, *, given: bool, intrinsics: bool = False
+    ) -> tuple[TokenGroups, Rendering]:
+        """Tokens from the contexts, rendered at the targets with the groups' probabilities."""
+        views = sample.context if given else photos_only(sample.context, keep_intrinsics=intrinsics)
+        if self.config.freeze_backbone:
+            model.backbone.eval()
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.config.freeze_backbone):
+            geometry = model.backbone(views)
+        groups = model(views, geometry)
+        target = sample.target
+        assert target.cam_from_world is not None
+        assert target.intrinsics is not None
+        with torch.autocast(target.images.device.type, enabled=False):
+            if given:
+                cameras = Cameras(target.cam_from_world, target.intrinsics)
+            else:
+                cameras = cameras_in_prediction(geometry, sample.context, target)
+            rendering = render(
+                groups.gaussians,
+                cameras,
+                *target.images.shape[-2:],
+                anchor_features=groups.assignment[..., :-1].float(),
+            )
+        return groups, rendering
+
+
+def gradient_error(
+    images: Float[Tensor, "*batch 3 height width"], targets: Float[Tensor, "*batch 3 height width"]
+) -> Float[Tensor, ""]:
+    """Mean absolute error of the differences between neighbouring pixels, both directions."""
+    error = images - targets
+    across = (error[..., 1:] - error[..., :-1]).abs().mean()
+    return across + (error[..., 1:, :] - error[..., :-1, :]).abs().mean()
+
+
+def groups_used(groups: TokenGroups) -> list[int]:
+    """How many groups win at least one anchor, for each scene."""
+    winners = groups.assignment.argmax(dim=-1)
+    void = groups.assignment.shape[-1] - 1
+    return [int((scene.unique() != void).sum()) for scene in winners]
+
+
+def _matches(rendering: Rendering, sample: Sample) -> list:
+    assert rendering.features is not None
+    settings = ApSettings(min_instance_area=20)
+    ids = sample.target_instances.cpu().numpy()
+    return [
+        match_image(
+            ids[scene, view],
+            predicted_masks(rendering.features[scene, view], rendering.alphas[scene, view]),
+            settings,
+        )
+        for scene in range(ids.shape[0])
+        for view in range(ids.shape[1])
+    ]
