@@ -49,67 +49,87 @@ def segmentation_loss(
         ignore_unlabelled: Leave pixels of no instance out, instead of asking every matched group
             to be absent there (the default: the void is for them).
     """
-    with torch.autocast(group_maps.device.type, enabled=False):
-        bce, dice = [], []
-        for scene_maps, scene_instances in zip(group_maps, instances, strict=True):
-            maps = scene_maps.float().transpose(0, 1).flatten(1)
-            masks, valid = _masks(scene_instances, min_pixels, ignore_unlabelled)
-            if masks.shape[1] == 0:
-                continue
-            scene_bce, scene_dice = _matched_losses(maps, masks, valid, bce_weight, dice_weight)
-            bce.append(scene_bce)
-            dice.append(scene_dice)
-        if not bce:
-            zero = group_maps.float().sum() * 0.0  # keeps the graph: backward gives zeros
-            return SegmentationLoss(zero, zero, zero, 0)
-        all_bce, all_dice = torch.cat(bce), torch.cat(dice)
-        mean_bce, mean_dice = all_bce.mean(), all_dice.mean()
-        return SegmentationLoss(
-            bce_weight * mean_bce + dice_weight * mean_dice, mean_bce, mean_dice, len(all_bce)
+    labelled = instances > 0 if ignore_unlabelled else instances >= 0
+    scenes, groups, ids = [], [], []
+    for scene in range(len(instances)):
+        found = _instance_ids(instances[scene], min_pixels)
+        if len(found) == 0:
+            continue
+        cost = _matching_cost(
+            group_maps[scene], instances[scene], labelled[scene], found, bce_weight, dice_weight
         )
+        match = match_groups(cost)
+        scenes.append(torch.full_like(match.groups, scene))
+        groups.append(match.groups)
+        ids.append(found[match.instances])
+    if not scenes:
+        zero = group_maps.float().sum() * 0.0  # keeps the graph: backward gives zeros
+        return SegmentationLoss(zero, zero, zero, 0)
+    scene, group, ids = torch.cat(scenes), torch.cat(groups), torch.cat(ids)
+    with torch.autocast(group_maps.device.type, enabled=False):
+        bce, dice = _pair_losses(
+            _probabilities(group_maps[scene, :, group], labelled[scene]).flatten(1),
+            (instances[scene] == ids[:, None, None, None]).float().flatten(1),
+            labelled[scene].flatten(1).sum(dim=1).clamp_min(1),
+        )
+    return SegmentationLoss(bce_weight * bce + dice_weight * dice, bce, dice, len(ids))
 
 
-def _masks(
-    instances: Int[Tensor, "view height width"], min_pixels: int, ignore_unlabelled: bool
-) -> tuple[Float[Tensor, "pixel instance"], Bool[Tensor, " pixel"]]:
-    flat = instances.flatten()
-    ids, counts = flat.unique(return_counts=True)
-    ids = ids[(ids > 0) & (counts >= max(min_pixels, 1))]
-    valid = flat > 0 if ignore_unlabelled else flat >= 0
-    return (flat[:, None] == ids).float(), valid
+def _instance_ids(instances: Int[Tensor, "view height width"], min_pixels: int) -> Tensor:
+    ids, counts = instances.flatten().unique(return_counts=True)
+    return ids[(ids > 0) & (counts >= min_pixels)]
 
 
-def _matched_losses(
-    maps: Float[Tensor, "group pixel"],
-    masks: Float[Tensor, "pixel instance"],
-    valid: Bool[Tensor, " pixel"],
+@torch.no_grad()
+def _matching_cost(
+    group_maps: Float[Tensor, "view group height width"],
+    instances: Int[Tensor, "view height width"],
+    labelled: Bool[Tensor, "view height width"],
+    ids: Int[Tensor, " instance"],
     bce_weight: float,
     dice_weight: float,
-) -> tuple[Float[Tensor, " pair"], Float[Tensor, " pair"]]:
-    with torch.no_grad():
-        bce, dice = _all_pairs(maps, masks, valid)
-        match = match_groups(bce_weight * bce + dice_weight * dice)
-    # Again with gradients, for the matched groups alone: a quarter of them or so.
-    bce, dice = _all_pairs(maps[match.groups], masks[:, match.instances], valid)
-    return bce.diagonal(), dice.diagonal()
+) -> Float[Tensor, "group instance"]:
+    """The loss of every group with every instance, as matrix products.
 
-
-def _all_pairs(
-    maps: Float[Tensor, "group pixel"],
-    masks: Float[Tensor, "pixel instance"],
-    valid: Bool[Tensor, " pixel"],
-) -> tuple[Float[Tensor, "group instance"], Float[Tensor, "group instance"]]:
-    """BCE and Dice of every group with every instance, as matrix products.
-
-    -BCE = g log m + (1 - g) log(1 - m) = g logit(m) + log(1 - m), so no [group, instance, pixel]
-    tensor is needed.
+    Because -BCE = g log m + (1 - g) log(1 - m) = g logit(m) + log(1 - m), no tensor of
+    [group, instance, pixel] is needed. One view at a time: it stays in the cache.
     """
-    if not valid.all():
-        maps, masks = maps[:, valid], masks[valid]
-    pixels = maps.shape[1]
-    maps = maps.clamp(EPSILON, 1 - EPSILON)
-    absent = torch.log1p(-maps)
-    bce = -((maps.log() - absent) @ masks + absent.sum(dim=1, keepdim=True)) / pixels
-    both = maps @ masks
-    dice = 1 - (2 * both + 1) / (maps.sum(dim=1, keepdim=True) + masks.sum(dim=0) + 1)
-    return bce, dice
+    shape = (group_maps.shape[1], len(ids))
+    log_likelihood = torch.zeros(shape, device=group_maps.device)
+    both, map_sums, mask_sums = (torch.zeros_like(log_likelihood) for _ in range(3))
+    with torch.autocast(group_maps.device.type, enabled=False):
+        for view_maps, view_instances, view_labelled in zip(
+            group_maps, instances, labelled, strict=True
+        ):
+            maps = _probabilities(view_maps, view_labelled).flatten(1)
+            masks = (view_instances.flatten()[:, None] == ids).float()
+            both += maps @ masks
+            map_sums += maps.sum(dim=1, keepdim=True)
+            mask_sums += masks.sum(dim=0)
+            log_likelihood += torch.logit(maps) @ masks
+            log_likelihood += torch.log1p(-maps).sum(dim=1, keepdim=True)
+    bce = -log_likelihood / labelled.sum().clamp_min(1)
+    return bce_weight * bce + dice_weight * (1 - (2 * both + 1) / (map_sums + mask_sums + 1))
+
+
+def _probabilities(maps: Float[Tensor, "*any"], labelled: Bool[Tensor, "..."]) -> Tensor:
+    """Maps as probabilities whose logarithm is finite, (all but) 0 where no label counts.
+
+    No mask is there either, so such pixels add nothing to any sum.
+    """
+    maps = maps.float()
+    if not labelled.all():
+        maps = maps * labelled
+    return maps.clamp(EPSILON, 1 - EPSILON)
+
+
+def _pair_losses(
+    maps: Float[Tensor, "pair pixel"],
+    masks: Float[Tensor, "pair pixel"],
+    pixels: Int[Tensor, " pair"],
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """Mean BCE and Dice of matched pairs over the labelled pixels of all views."""
+    log_likelihood = (torch.logit(maps) * masks).sum(dim=1) + torch.log1p(-maps).sum(dim=1)
+    both = (maps * masks).sum(dim=1)
+    dice = 1 - (2 * both + 1) / (maps.sum(dim=1) + masks.sum(dim=1) + 1)
+    return (-log_likelihood / pixels).mean(), dice.mean()
