@@ -3,7 +3,16 @@ from dataclasses import replace
 
 import pytest
 
-from instok3d.training.config import PRESETS, TrainConfig, from_json, preset, to_json
+from instok3d.training.config import (
+    PRESETS,
+    TrainConfig,
+    from_json,
+    overlay,
+    preset,
+    read_config,
+    to_json,
+    write_config,
+)
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
@@ -30,6 +39,24 @@ def test_unknown_key_is_named():
 def test_value_of_another_type_is_refused(key, value):
     with pytest.raises(ValueError, match=rf"config\.{key} must be"):
         from_json(TrainConfig, {**to_json(preset("nano-tokenizer")), key: value})
+
+
+def test_settings_given_on_resuming_change_those_of_the_run_and_no_others():
+    run = replace(preset("nano-tokenizer"), steps=5, lr=1e-3)
+    wanted = replace(preset("nano-tokenizer"), steps=9)
+    wanted = replace(wanted, stage=replace(wanted.stage, seg_weight=0.3))
+    found = overlay(run, preset("nano-tokenizer"), wanted)
+    assert (found.steps, found.lr, found.stage.seg_weight) == (9, 1e-3, 0.3)
+    assert overlay(run, wanted, wanted) == run
+
+
+def test_settings_of_a_run_are_read_back(tmp_path):
+    run = preset("nano-tokenizer")
+    run = replace(run, stage=replace(run.stage, lpips_file=tmp_path / "lpips.safetensors"))
+    write_config(tmp_path, run, commit="unknown")
+    assert read_config(tmp_path) == run
+    with pytest.raises(FileNotFoundError, match=r"no config\.json"):
+        read_config(tmp_path / "elsewhere")
 
 
 def test_unknown_preset_is_named():

@@ -1,10 +1,13 @@
 """Settings of a training run, how they are written to and read from JSON, and the presets."""
 
+import json
 import types
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from instok3d.data.batches import BatchConfig
+from instok3d.files import write_json
 from instok3d.training.geometry_stage import GeometryStageConfig
 from instok3d.training.tokenizer_stage import TokenizerStageConfig
 
@@ -36,6 +39,7 @@ class TrainConfig:
     """Of the weight average that is validated and exported; 0 = the weights themselves."""
     amp: bool = True
     """bfloat16 autocast; rendering, matching and camera maths stay float32."""
+    device: str = "cpu"
     threads: int | None = None
     """CPU threads; None = as torch chooses."""
     holdout: int = 24
@@ -77,6 +81,32 @@ PRESETS = {
 """The nano runs are this project's own; the paper trains at full size only."""
 
 
+def write_config(folder: Path, config: TrainConfig, **about: str) -> None:
+    """Write RUN/config.json: the settings, and what else is known of the run."""
+    write_json(folder / "config.json", {"config": to_json(config), **about})
+
+
+def read_config(folder: Path) -> TrainConfig:
+    """The settings of a run.
+
+    Raises:
+        FileNotFoundError: The folder holds no run.
+    """
+    path = folder / "config.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no run: there is no config.json in it")
+    return from_json(TrainConfig, json.loads(path.read_text())["config"])
+
+
+def overlay(base: Any, default: Any, wanted: Any) -> Any:
+    """The base with every setting, nested ones too, in which `wanted` is not the default."""
+    if not is_dataclass(base) or isinstance(base, type) or type(base) is not type(wanted):
+        return base if wanted == default else wanted
+    names = [f.name for f in fields(base)]
+    values = {n: overlay(*(getattr(x, n) for x in (base, default, wanted))) for n in names}
+    return replace(base, **values)
+
+
 def to_json(config: Any) -> Any:
     """Dataclasses as dictionaries with their class name under "type"; tuples as lists."""
     if is_dataclass(config) and not isinstance(config, type):
@@ -84,7 +114,7 @@ def to_json(config: Any) -> Any:
         return {"type": type(config).__name__, **content}
     if isinstance(config, tuple | list):
         return [to_json(value) for value in config]
-    return config
+    return str(config) if isinstance(config, Path) else config
 
 
 def from_json(kind: Any, value: Any, where: str = "config") -> Any:
@@ -107,6 +137,8 @@ def from_json(kind: Any, value: Any, where: str = "config") -> Any:
             return tuple(from_json(k, v, where) for k, v in zip(each, value, strict=True))
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
+    if kind is Path and isinstance(value, str):
+        return Path(value)
     if isinstance(kind, type) and type(value) is kind:
         return value
     raise ValueError(f"{where} must be {kind}, got {value!r}")

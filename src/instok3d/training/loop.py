@@ -14,7 +14,7 @@ from torch import nn
 from instok3d.data.batches import RoomBatches, SceneSource, make_sample
 from instok3d.data.sample import Sample, collate
 from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
-from instok3d.files import replacing, write_json
+from instok3d.files import replacing
 from instok3d.training.checkpoint import (
     RunState,
     WeightAverage,
@@ -24,7 +24,7 @@ from instok3d.training.checkpoint import (
     restore,
     save_checkpoint,
 )
-from instok3d.training.config import TrainConfig, to_json
+from instok3d.training.config import TrainConfig, to_json, write_config
 from instok3d.training.plots import plot_curves
 from instok3d.training.run_log import RunLog
 from instok3d.training.schedule import learning_rate
@@ -96,10 +96,13 @@ def train(
         if init_from is not None:
             stage.load_initial(state.model, read_weights(init_from))
             state.average = WeightAverage(state.model, config.ema_decay)
-    write_json(folder / "config.json", {**to_json(config), "commit": current_commit()})
+    write_config(folder, config, commit=current_commit())
     held_out, training = split_scenes(source, state.scene_seeds, config.holdout)
     batches = RoomBatches(source, training, config.batches, seed=config.seed)
-    validation = {v: validation_samples(source, held_out, v) for v in config.validation_views}
+    validation = {
+        views: [s.to(config.device) for s in validation_samples(source, held_out, views)]
+        for views in config.validation_views
+    }
     log = RunLog(folder, total_steps=config.steps, first_step=state.step)
     log.say(
         f"{len(training)} scenes to train on, {len(held_out)} held out, "
@@ -148,7 +151,7 @@ def train(
                 cosine_steps=config.cosine_steps or config.steps,
                 final_fraction=config.final_lr_fraction,
             )
-            figures = train_step(config, stage, state, sample, rate, folder)
+            figures = train_step(config, stage, state, sample.to(config.device), rate, folder)
             state.step += 1
 
             # Log.
@@ -160,7 +163,7 @@ def train(
 
 def new_state(config: TrainConfig, stage: Stage) -> RunState:
     """Model, optimizer and average before the first step."""
-    model = stage.build_model()
+    model = stage.build_model().to(config.device)
     optimizer = torch.optim.AdamW(
         parameter_groups(model, config.weight_decay),
         lr=config.lr,
