@@ -1,0 +1,112 @@
+"""The command `instok3d`: finds the subcommand, runs it, and turns errors into exit codes."""
+
+import errno
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+
+import tyro
+
+from instok3d import __version__
+
+COMMANDS = {
+    "demo": "reconstruct the photos that come with the package",
+    "reconstruct": "photos in, a scene of objects out",
+    "info": "what is in a scene",
+    "render": "pictures or a film of a scene",
+    "export": "a scene as a PLY file for splat viewers",
+    "doctor": "what this machine has and lacks",
+    "evaluate": "measure a model on rooms with known truth",
+    "train": "train a model",
+    "data": "make and look at training rooms",
+}
+"""Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands."""
+
+OK, BAD_INPUT, RESOURCES, MISSING_WEIGHTS, INTERRUPTED = 0, 2, 3, 4, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the result is the exit code.
+
+    0 done, 2 bad input, 3 out of memory or disk, 4 no weights, 130 interrupted. Errors are one
+    line on stderr; `--debug` shows where they came from.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    try:
+        code = _dispatch(words)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # The reader of stdout is gone (`| head`): not an error, but nothing more may be flushed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    except KeyboardInterrupt:
+        print("\ninstok3d: interrupted; nothing half-written was left", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        code = exit_code(error)
+        if debug or code is None:
+            traceback.print_exc()
+        print(f"instok3d: {_sentence(error)}", file=sys.stderr)
+        if code is None:
+            print("instok3d: this is a fault in the program, please report it", file=sys.stderr)
+        return 1 if code is None else code
+
+
+def exit_code(error: Exception) -> int | None:
+    """The exit code that an error stands for; None for those that only a fault can raise."""
+    if any(kind.__name__ == "MissingWeightsError" for kind in type(error).__mro__):
+        return MISSING_WEIGHTS
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+        return RESOURCES
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM):
+        return RESOURCES
+    if isinstance(error, ValueError | KeyError | OSError | ModuleNotFoundError):
+        return BAD_INPUT
+    return None
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview())
+        return OK if words else BAD_INPUT
+    if words[0] == "--version":
+        print(f"instok3d {__version__}")
+        return OK
+    if words[0] not in COMMANDS:
+        print(f"instok3d: no command {words[0]!r}; the commands are: {', '.join(COMMANDS)}",
+              file=sys.stderr)  # fmt: skip
+        return BAD_INPUT
+    module = import_module(f"instok3d.cli.{words[0]}")
+    program = f"instok3d {words[0]}"
+    try:
+        if hasattr(module, "COMMANDS"):
+            tyro.extras.subcommand_cli_from_dict(module.COMMANDS, prog=program, args=words[1:])
+        else:
+            tyro.cli(module.run, prog=program, args=words[1:])
+    except SystemExit as stop:  # tyro has printed its help or what is wrong with the arguments
+        return stop.code if isinstance(stop.code, int) else OK if stop.code is None else BAD_INPUT
+    return OK
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()]
+    return "\n".join(
+        ["usage: instok3d COMMAND ...", "", "Photos of a room in, a 3D scene made of objects out.",
+         "", *lines, "", "instok3d COMMAND --help shows its options; --debug shows tracebacks."]
+    )  # fmt: skip
+
+
+def _sentence(error: Exception) -> str:
+    """The error in one line, with the name of the file where the system gave one."""
+    if isinstance(error, KeyError) and error.args:
+        return str(error.args[0])
+    if isinstance(error, OSError) and error.strerror:
+        place = f": {error.filename}" if error.filename else ""
+        return f"{error.strerror}{place}"
+    return " ".join(str(error).split()) or type(error).__name__

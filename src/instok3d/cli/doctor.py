@@ -1,0 +1,96 @@
+"""`instok3d doctor`: what this machine has, what it lacks, and what that costs."""
+
+import os
+import platform
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+EXTRAS = {
+    "gsplat": "gpu: rendering on CUDA",
+    "embreex": "rooms: making training rooms",
+    "viser": "view: the viewer",
+    "imageio": "video: reading and writing films",
+    "pillow_heif": "heic: photos of iPhones",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    name: str
+    state: str
+    good: bool
+    """False: something works worse or not at all; the state says what to do."""
+
+
+def run(json: bool = False) -> None:
+    """Report what this machine has for InsTok3D, and what it lacks.
+
+    Args:
+        json: Print one JSON object.
+    """
+    findings = [*_python(), _kernels(), _gsplat(), *_model(), *_extras(), _memory()]
+    if json:
+        from instok3d.cli.info import print_json
+
+        print_json({"findings": [asdict(finding) for finding in findings]})
+        return
+    for finding in findings:
+        print(f"{'ok  ' if finding.good else 'LACK'} {finding.name:16} {finding.state}")
+
+
+def _python() -> list[Finding]:
+    import torch
+
+    from instok3d import __version__
+
+    threads = f"{torch.get_num_threads()} threads of {os.cpu_count()} processors"
+    return [
+        Finding("instok3d", f"{__version__} in {Path(__file__).parents[1]}", True),
+        Finding("python", f"{platform.python_version()} on {platform.platform()}", True),
+        Finding("torch", f"{torch.__version__}, {threads}", True),
+    ]
+
+
+def _memory() -> Finding:
+    names = ("SC_AVPHYS_PAGES", "SC_PAGE_SIZE")
+    if not all(name in os.sysconf_names for name in names):
+        return Finding("memory", "cannot be asked on this system; eight photos need 1.5 GB", True)
+    free = os.sysconf(names[0]) * os.sysconf(names[1]) / 1e9
+    return Finding("memory", f"{free:.1f} GB free; eight photos need 1.5 GB", free > 1.5)
+
+
+def _model() -> list[Finding]:
+    from instok3d.model.files import DEFAULT_MODEL, file_sha256
+
+    if not DEFAULT_MODEL.is_file():
+        return [Finding("default model", f"missing: reinstall, no {DEFAULT_MODEL}", False)]
+    size = DEFAULT_MODEL.stat().st_size / 1e6
+    return [Finding("default model", f"{size:.1f} MB, sha256 {file_sha256(DEFAULT_MODEL)}", True)]
+
+
+def _extras() -> list[Finding]:
+    from importlib.util import find_spec
+
+    return [
+        Finding(name, f"{'there' if find_spec(name) else 'not installed'} (extra {use})", True)
+        for name, use in EXTRAS.items()
+        if name != "gsplat"
+    ]
+
+
+def _gsplat() -> Finding:
+    import torch
+
+    if not torch.cuda.is_available():
+        return Finding("gsplat", "not needed: torch sees no CUDA device", True)
+    try:
+        return Finding("gsplat", f"{version('gsplat')} for {torch.cuda.get_device_name()}", True)
+    except PackageNotFoundError:
+        return Finding("gsplat", "missing: pip install 'instok3d[gpu]' to render on CUDA", False)
+
+
+def _kernels() -> Finding:
+    return Finding("native kernels", "TODO", False)

@@ -1,0 +1,71 @@
+"""`instok3d info`: what is in a scene."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from instok3d.scene.scene import Scene
+
+
+def run(scene: tyro.conf.Positional[Path], /, json: bool = False) -> None:
+    """Print what a scene holds, its units and frame, and what it was made with.
+
+    Args:
+        scene: A scene folder.
+        json: Print one JSON object.
+    """
+    from instok3d.scene.files import load_scene
+
+    loaded = load_scene(scene)
+    if json:
+        print_json({"scene": str(scene), **summary(loaded)})
+    else:
+        print(describe(loaded))
+
+
+def summary(scene: "Scene") -> dict[str, Any]:
+    """The scene in plain values, for --json."""
+    return {
+        "views": [view.file for view in scene.views],
+        "objects": [item.to_json() for item in scene.objects],
+        "num_gaussians": len(scene.gaussians.means),
+        "units": scene.units,
+        "frame": scene.frame,
+        "height": scene.height,
+        "width": scene.width,
+        "provenance": dict(vars(scene.provenance)),
+        "warnings": list(scene.warnings),
+    }
+
+
+def describe(scene: "Scene") -> str:
+    """The scene in a few lines for people."""
+    made = scene.provenance
+    owned = sum(item.num_gaussians for item in scene.objects)
+    unit = "m" if scene.units == "metres" else "units"
+    lines = [
+        f"{len(scene.views)} views of {scene.height} x {scene.width}, "
+        f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians "
+        f"({owned} of them of objects)",
+        f"world: {scene.frame}, x right, y down, z forward; lengths in {scene.units}",
+        f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
+        *(f"note: {line}" for line in scene.warnings),
+    ]
+    if scene.objects:
+        lines.append("")
+        lines.append(f"{'object':12} {'Gaussians':>9} {'sure':>5} {'best view':>9}  size ({unit})")
+    for item in scene.objects:
+        size = " x ".join(f"{length:.2f}" for length in item.obb.size)
+        name = item.key if item.label is None else f"{item.key} {item.label}"
+        numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {item.best_view.view:9}"
+        lines.append(f"{name:12} {numbers}  {size}")
+    return "\n".join(lines)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One JSON object on stdout, keys in order, finite numbers only."""
+    from json import dumps
+
+    print(dumps(value, indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False))

@@ -1,0 +1,85 @@
+"""`instok3d reconstruct`: photos in, a scene folder out."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def run(
+    photos: tyro.conf.Positional[tuple[str, ...]],
+    /,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    cameras: Path | None = None,
+    model: Path | None = None,
+    max_views: int = 16,
+    seed: int = 0,
+    device: str = "cpu",
+    overwrite: bool = False,
+    json: bool = False,
+    timings: bool = False,
+) -> None:
+    """Make a scene of objects from photos of one room.
+
+    Args:
+        photos: A folder, files, a quoted pattern or a video.
+        output: The scene folder to write, such as room.itk.
+        cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
+            scene.json.
+        model: A model file instead of the default model.
+        max_views: Of more photos, this many are chosen to cover all.
+        seed: Same photos, model and seed give the same bytes.
+        device: Where the model runs, such as cuda.
+        overwrite: Replace a scene that is already there.
+        json: Print the result as one JSON object on stdout.
+        timings: Print how long each stage took, on stderr.
+    """
+    if not photos:
+        raise ValueError("no photos were named: give a folder, files, a pattern or a video")
+    make_scene(
+        photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras, model=model,
+        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
+        timings=timings,
+    )  # fmt: skip
+
+
+def make_scene(
+    photos: str | Path | Sequence[str | Path],
+    output: Path,
+    *,
+    cameras: Path | None = None,
+    model: Path | None = None,
+    max_views: int = 16,
+    seed: int = 0,
+    device: str = "cpu",
+    overwrite: bool = False,
+    json: bool = False,
+    timings: bool = False,
+) -> None:
+    """Reconstruct, save, and say on stdout what came out."""
+    from instok3d.cli.progress import StageClock, plain_warnings
+
+    clock = StageClock()
+    clock.begin("start")
+    from instok3d.cli.info import describe, print_json, summary
+    from instok3d.scene.files import check_target, save_scene
+    from instok3d.scene.reconstruct import reconstruct
+
+    check_target(output, overwrite=overwrite)
+    with plain_warnings():
+        scene = reconstruct(
+            photos, cameras=cameras, model=model, seed=seed, max_views=max_views, device=device,
+            progress=clock.begin,
+        )  # fmt: skip
+        save_scene(scene, output, overwrite=overwrite, progress=clock.begin)
+    clock.end()
+    if timings:
+        print(clock.report(), file=sys.stderr)
+    if json:
+        print_json({"scene": str(output), **summary(scene), "timings_s": clock.times_s})
+    else:
+        print(
+            f"{describe(scene)}\n\nwritten to {output}; look at {output}/previews/contact_sheet.png"
+        )

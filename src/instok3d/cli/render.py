@@ -1,0 +1,152 @@
+"""`instok3d render`: pictures or a film of a scene."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Int, UInt8
+
+    from instok3d.scene.paths import CameraPath
+    from instok3d.scene.scene import Scene
+
+PICTURES, FILMS = (".png",), (".mp4",)
+
+
+def run(
+    scene: tyro.conf.Positional[Path],
+    /,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    path: str = "inputs",
+    frames: int = 60,
+    fps: int = 20,
+    height: int | None = None,
+    width: int | None = None,
+    only: str | None = None,
+    ids: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Render a scene along a path of cameras.
+
+    Args:
+        scene: A scene folder.
+        output: A folder for one PNG a camera, a .png with all of them side by side, or an .mp4
+            (needs the extra instok3d[video]).
+        path: "inputs", "orbit", or a cameras.json in the format of a scene folder.
+        frames: Pictures of an orbit.
+        fps: Pictures a second of a film.
+        height: Of the pictures; that of the scene's views if left out.
+        width: Likewise.
+        only: Id or key of one object to draw alone, on white.
+        ids: Also write which object each pixel shows: NNN_ids.png with the ids in a folder, the
+            objects' display colours below the pictures of a .png and instead of those of an .mp4.
+        overwrite: Replace files that are already there.
+    """
+    from instok3d.cli.targets import check_file, object_name
+    from instok3d.scene.files import load_scene
+    from instok3d.scene.paths import camera_path
+
+    if output.suffix:
+        check_file(output, overwrite=overwrite, endings=PICTURES + FILMS)
+    elif output.exists() and not (output.is_dir() and (overwrite or not any(output.iterdir()))):
+        raise FileExistsError(f"{output} is already there; pass --overwrite to write into it")
+    loaded = load_scene(scene)
+    way = camera_path(loaded, path, frames, height, width)
+    shots = take_shots(loaded, way, None if only is None else object_name(only), ids=ids)
+    if output.suffix in FILMS:
+        count = write_film(shots, output, fps)
+    elif output.suffix in PICTURES:
+        count = write_strip(shots, output)
+    else:
+        count = write_pictures(shots, output)
+    print(f"{count} pictures written to {output}")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture."""
+
+    picture: "UInt8[np.ndarray, 'height width 3']"
+    ids: "Int[np.ndarray, 'height width'] | None"
+    colored_ids: "UInt8[np.ndarray, 'height width 3'] | None"
+    """The ids in the objects' display colours."""
+
+
+def take_shots(
+    scene: "Scene", path: "CameraPath", only: int | str | None, *, ids: bool
+) -> Iterator[Shot]:
+    """The pictures one after the other: together they could fill the memory."""
+    from instok3d.scene.previews import colored_ids, to_uint8
+    from instok3d.types import Cameras
+
+    background = (0.0, 0.0, 0.0) if only is None else (1.0, 1.0, 1.0)
+    for view in range(len(path.cameras.intrinsics)):
+        camera = Cameras(
+            path.cameras.cam_from_world[view : view + 1], path.cameras.intrinsics[view : view + 1]
+        )
+        seen = scene.render(
+            camera, path.height, path.width, only=only, ids=ids, background=background
+        )
+        picture = to_uint8(seen.colors)[0]
+        if seen.ids is None:
+            yield Shot(picture, None, None)
+        else:
+            yield Shot(picture, seen.ids[0].numpy(), colored_ids(scene, seen.ids)[0])
+
+
+def write_pictures(shots: Iterator[Shot], folder: Path) -> int:
+    """NNN.png for each shot, and NNN_ids.png (16 bits, 0: no object) where there are ids."""
+    import numpy as np
+    from PIL import Image
+
+    from instok3d.files import replacing
+
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for count, shot in enumerate(shots, 1):
+        with replacing(folder / f"{count - 1:03d}.png") as part:
+            Image.fromarray(shot.picture).save(part)
+        if shot.ids is not None:
+            with replacing(folder / f"{count - 1:03d}_ids.png") as part:
+                Image.fromarray(shot.ids.astype(np.uint16)).save(part)
+    return count
+
+
+def write_strip(shots: Iterator[Shot], file: Path) -> int:
+    """All shots side by side in one PNG, the coloured ids below where there are some."""
+    import numpy as np
+    from PIL import Image
+
+    from instok3d.files import replacing
+
+    columns = [
+        shot.picture if shot.colored_ids is None else np.vstack([shot.picture, shot.colored_ids])
+        for shot in shots
+    ]
+    with replacing(file) as part:
+        Image.fromarray(np.hstack(columns)).save(part)
+    return len(columns)
+
+
+def write_film(shots: Iterator[Shot], file: Path, fps: int) -> int:
+    """An H.264 film of the shots, or of the coloured ids where there are some."""
+    try:
+        from imageio.v2 import get_writer
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "films need imageio: pip install 'instok3d[video]', or write to a folder instead"
+        ) from error
+    from instok3d.files import replacing
+
+    count = 0
+    with replacing(file) as part, get_writer(part, fps=fps, macro_block_size=2) as writer:
+        for shot in shots:
+            writer.append_data(  # pyright: ignore[reportAttributeAccessIssue]
+                shot.picture if shot.colored_ids is None else shot.colored_ids
+            )
+            count += 1
+    return count

@@ -1,0 +1,200 @@
+"""From what the tokenizer returns to a scene of objects."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid, transform_points
+from instok3d.geometry.rotations import matrix_to_quat, quat_multiply
+from instok3d.geometry.spherical_harmonics import rotate_sh
+from instok3d.scene.id_maps import group_maps
+from instok3d.scene.objects import BestView, SceneObject, describe_shape, display_color
+from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView
+from instok3d.types import Cameras, Gaussians, TokenGroups
+
+MIN_PIXELS = 20
+"""A group is an object only where it wins this many pixels of some input view."""
+
+
+@dataclass(frozen=True)
+class GroupSight:
+    """What each group wins of the input views."""
+
+    pixels: Int[Tensor, "view group"]
+    scores: Float[Tensor, " group"]
+    """Mean of the group's map over all the pixels that it wins; 0 for none."""
+    boxes: Int[Tensor, "view group 4"]
+    """x0, y0, x1, y1 around the pixels, exclusive at the end; zeros for none."""
+
+
+@torch.no_grad()
+def scene_from_tokens(
+    tokens: TokenGroups,
+    photos: UInt8[Tensor, "view height width 3"],
+    views: Sequence[SceneView],
+    *,
+    provenance: Provenance,
+    cam_from_world: Float[Tensor, "view 4 4"] | None = None,
+    units: Literal["metres", "arbitrary"] = "arbitrary",
+    notes: Sequence[str] = (),
+) -> Scene:
+    """The scene of one sample, not differentiable; see `Scene` for what becomes an object.
+
+    Gaussians that are not finite are dropped with a warning, which the scene keeps.
+
+    Args:
+        tokens: A batch of one.
+        photos: The views as the model saw them.
+        views: Where they came from.
+        provenance: What the tokens were made with.
+        cam_from_world: Given cameras: the scene is moved to their world, in which every view
+            then stands exactly where it was given.
+        units: Of the tokens' lengths.
+        notes: Warnings to be kept with the scene.
+
+    Raises:
+        ValueError: A batch of more than one scene, or a number of views that does not fit.
+    """
+    if tokens.tokens.shape[0] != 1:
+        raise ValueError(f"a scene is made of a batch of one, got {tokens.tokens.shape[0]}")
+    if not len(photos) == len(views) == tokens.geometry.depths.shape[1]:
+        raise ValueError(
+            f"{len(views)} views and {len(photos)} photos do not fit tokens of "
+            f"{tokens.geometry.depths.shape[1]} views"
+        )
+    gaussians, dropped = _finite(_first(tokens.gaussians))
+    positions = tokens.anchors.positions[0].float()
+    cameras = _first(tokens.geometry.cameras)
+    if cam_from_world is not None:
+        world_from_first = invert_rigid(cam_from_world[0].float())
+        gaussians = move_gaussians(gaussians, world_from_first)
+        positions = transform_points(world_from_first, positions)
+        cameras = Cameras(cam_from_world.float(), cameras.intrinsics)
+    compact = SceneTokens(
+        positions, tokens.anchors.tokens[0].float(), tokens.tokens[0].float(),
+        tokens.assignment[0].float(),
+    )  # fmt: skip
+    bare = Scene(
+        gaussians=gaussians, tokens=compact, cameras=cameras,
+        height=photos.shape[1], width=photos.shape[2], objects=(), views=tuple(views),
+        photos=photos, units=units,
+        frame="first camera" if cam_from_world is None else "given cameras",
+        warnings=(*notes, *dropped), provenance=provenance,
+    )  # fmt: skip
+    return with_objects(bare)
+
+
+def with_objects(scene: Scene) -> Scene:
+    """The scene with its objects found anew from the assignment, and its Gaussians sorted."""
+    sight = _sight(scene)
+    num_groups = scene.tokens.groups.shape[0]
+    owner = scene.tokens.assignment.argmax(dim=1)
+    num_anchors = owner.bincount(minlength=num_groups + 1)[:num_groups]
+    enough = (sight.pixels >= MIN_PIXELS).any(dim=0)
+    chosen = ((num_anchors > 0) & enough).nonzero()[:, 0].tolist()
+
+    rank = torch.full((num_groups + 1,), len(chosen))
+    rank[chosen] = torch.arange(len(chosen))
+    rank_of_gaussian = rank[owner[scene.gaussians.anchor_index]]
+    order = rank_of_gaussian.argsort(stable=True)
+    gaussians = Gaussians(**{name: value[order] for name, value in vars(scene.gaussians).items()})
+    counts = rank_of_gaussian.bincount(minlength=len(chosen) + 1)
+    starts = counts.cumsum(0) - counts
+
+    objects = []
+    for position, group in enumerate(chosen):
+        start, count = int(starts[position]), int(counts[position])
+        if count:
+            own = {k: value[start : start + count] for k, value in vars(gaussians).items()}
+            found = _describe(Gaussians(**own), group, int(num_anchors[group]), sight)
+            objects.append(replace(found, gaussian_range=(start, count)))
+    return replace(scene, gaussians=gaussians, objects=tuple(objects))
+
+
+def move_gaussians(gaussians: Gaussians, to_from: Float[Tensor, "4 4"]) -> Gaussians:
+    """The Gaussians in the frame that a rigid transform leads to, their colours turned along."""
+    rotation = to_from[:3, :3]
+    turn = matrix_to_quat(rotation).expand_as(gaussians.quats)
+    return replace(
+        gaussians,
+        means=transform_points(to_from, gaussians.means),
+        quats=quat_multiply(turn, gaussians.quats),
+        sh=rotate_sh(gaussians.sh, rotation),
+    )
+
+
+def _describe(own: Gaussians, group: int, num_anchors: int, sight: GroupSight) -> SceneObject:
+    aabb, obb, centroid = describe_shape(own)
+    pixels = sight.pixels[:, group]
+    best = int(pixels.argmax())
+    x0, y0, x1, y1 = sight.boxes[best, group].tolist()
+    return SceneObject(
+        id=group + 1,
+        key=f"object#{group + 1}",
+        color=display_color(group + 1),
+        aabb=aabb,
+        obb=obb,
+        centroid=centroid,
+        num_anchors=num_anchors,
+        num_gaussians=len(own.means),
+        gaussian_range=(0, len(own.means)),
+        confidence=float(sight.scores[group]),
+        visible_in=tuple((pixels >= MIN_PIXELS).nonzero()[:, 0].tolist()),
+        best_view=BestView(best, (x0, y0, x1, y1), int(pixels[best])),
+    )
+
+
+def _sight(scene: Scene) -> GroupSight:
+    """Pixels, scores and boxes of every group, view by view."""
+    num_groups, num_views = scene.tokens.groups.shape[0], len(scene.views)
+    pixels = torch.zeros(num_views, num_groups + 1, dtype=torch.long)
+    sums = torch.zeros(num_groups + 1)
+    boxes = torch.zeros(num_views, num_groups + 1, 4, dtype=torch.long)
+    near, far = scene.near_far
+    for view in range(num_views):
+        camera = Cameras(
+            scene.cameras.cam_from_world[view : view + 1],
+            scene.cameras.intrinsics[view : view + 1],
+        )
+        maps = group_maps(
+            scene.gaussians, scene.tokens.assignment, camera, scene.height, scene.width,
+            near=near, far=far,
+        )  # fmt: skip
+        winners = maps.groups.cpu()
+        pixels[view] = winners.flatten().bincount(minlength=num_groups + 1)
+        sums.index_add_(0, winners.flatten(), maps.scores.cpu().flatten())
+        for group in winners.unique().tolist():
+            y, x = (winners == group).nonzero(as_tuple=True)
+            low_high = [x.min(), y.min(), x.max() + 1, y.max() + 1]
+            boxes[view, group] = torch.stack(low_high)
+    scores = sums / pixels.sum(0).clamp_min(1)
+    return GroupSight(pixels[:, :num_groups], scores[:num_groups], boxes[:, :num_groups])
+
+
+Batched = TypeVar("Batched", Gaussians, Cameras)
+
+
+def _first(batch: Batched) -> Batched:
+    """The one scene of the batch, float32."""
+    values = {name: value[0].detach() for name, value in vars(batch).items()}
+    return type(batch)(
+        **{k: value.float() if value.is_floating_point() else value for k, value in values.items()}
+    )
+
+
+def _finite(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
+    """The Gaussians without those that are not finite, and a warning if there were any."""
+    rows = torch.ones(len(gaussians.means), dtype=torch.bool, device=gaussians.means.device)
+    for value in vars(gaussians).values():
+        rows &= value.isfinite().flatten(1).all(dim=1) if value.ndim > 1 else value.isfinite()
+    if rows.all():
+        return gaussians, []
+    kept = Gaussians(**{name: value[rows] for name, value in vars(gaussians).items()})
+    note = f"dropped {int((~rows).sum())} Gaussians that were not finite"
+    warnings.warn(note, stacklevel=3)
+    return kept, [note]

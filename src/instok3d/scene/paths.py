@@ -1,0 +1,134 @@
+"""Cameras to look at a scene from: its inputs, a sway around them, or those of a file."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid, resize_intrinsics, rigid
+from instok3d.scene.scene import Scene
+from instok3d.types import Cameras
+
+SWAY = 0.12
+"""Radius of the orbit in units of the distance to what it looks at. What no photo saw is empty,
+so that the orbit stays near the photos."""
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """Cameras with the size of their pictures."""
+
+    cameras: Cameras
+    height: int
+    width: int
+
+
+def camera_path(
+    scene: Scene, name: str, frames: int, height: int | None = None, width: int | None = None
+) -> CameraPath:
+    """The path of a name: "inputs", "orbit", or a file like a scene's cameras.json.
+
+    Args:
+        scene: What will be looked at.
+        name: See above.
+        frames: Number of cameras of an orbit, at least 1.
+        height: Of the pictures; the scene's (or the file's) when None.
+        width: Likewise.
+
+    Raises:
+        FileNotFoundError: No file of this name.
+        ValueError: The file holds no cameras of one size, or frames is below 1.
+    """
+    if name == "inputs":
+        own = CameraPath(scene.cameras, scene.height, scene.width)
+    elif name == "orbit":
+        own = CameraPath(orbit(scene, frames), scene.height, scene.width)
+    else:
+        own = read_camera_path(Path(name))
+    height, width = height or own.height, width or own.width
+    intrinsics = resize_intrinsics(
+        own.cameras.intrinsics, scale_x=width / own.width, scale_y=height / own.height
+    )
+    return CameraPath(Cameras(own.cameras.cam_from_world, intrinsics), height, width)
+
+
+def orbit(scene: Scene, frames: int) -> Cameras:
+    """Cameras on a circle across the middle input's line of sight, all looking at one point.
+
+    The point lies in front of that input, as far away as the Gaussians it sees lie in the median.
+
+    Raises:
+        ValueError: frames is below 1.
+    """
+    if frames < 1:
+        raise ValueError(f"an orbit needs at least 1 frame, got {frames}")
+    middle = len(scene.views) // 2
+    cam_from_world = scene.cameras.cam_from_world[middle]
+    z = (scene.gaussians.means @ cam_from_world[:3, :3].mT + cam_from_world[:3, 3])[:, 2]
+    in_front = z[z > 0]
+    distance = float(in_front.median()) if len(in_front) else 1.0
+    angle_rad = 2 * math.pi * torch.arange(frames) / frames
+    radius = SWAY * distance
+    centers = torch.stack(
+        [radius * angle_rad.cos(), 0.5 * radius * angle_rad.sin(), torch.zeros(frames)], dim=1
+    )
+    target = torch.tensor([0.0, 0.0, distance])
+    cam_from_middle = look_at(centers, target.expand(frames, 3), torch.tensor([0.0, 1.0, 0.0]))
+    return Cameras(
+        cam_from_middle @ cam_from_world,
+        scene.cameras.intrinsics[middle].expand(frames, 3, 3),
+    )
+
+
+def look_at(
+    centers: Float[Tensor, "view 3"], targets: Float[Tensor, "view 3"], down: Float[Tensor, " 3"]
+) -> Float[Tensor, "view 4 4"]:
+    """cam_from_world of cameras at the centres that look at the targets.
+
+    Args:
+        centers: Where the cameras stand.
+        targets: What lies in the middle of their pictures; not at the centres.
+        down: The world's direction that shall point down in the pictures, not along a view.
+    """
+    forward = torch.nn.functional.normalize(targets - centers, dim=1)
+    right = torch.nn.functional.normalize(
+        torch.linalg.cross(down.expand_as(forward), forward), dim=1
+    )
+    true_down = torch.linalg.cross(forward, right)
+    return invert_rigid(rigid(torch.stack([right, true_down, forward], dim=2), centers))
+
+
+def read_camera_path(file: Path) -> CameraPath:
+    """Cameras of a JSON list of entries with cam_from_world, intrinsics, height and width.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: It is no such list, or the sizes differ.
+    """
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"no camera path {file}: wanted 'inputs', 'orbit' or a file like cameras.json"
+        )
+    try:
+        entries = json.loads(file.read_text(encoding="utf-8"))
+        cam_from_world = torch.tensor([entry["cam_from_world"] for entry in entries])
+        intrinsics = torch.tensor([entry["intrinsics"] for entry in entries])
+        sizes = {(int(entry["height"]), int(entry["width"])) for entry in entries}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{file} is no list of cameras with cam_from_world, intrinsics, height and width: "
+            f"{error}"
+        ) from error
+    good = cam_from_world.shape[1:] == (4, 4) and intrinsics.shape[1:] == (3, 3)
+    if not good or not cam_from_world.isfinite().all() or not intrinsics.isfinite().all():
+        raise ValueError(
+            f"{file}: cam_from_world must be 4 x 4 and intrinsics 3 x 3 finite numbers"
+        )
+    if len(sizes) != 1 or min(min(size) for size in sizes) < 1:
+        raise ValueError(f"{file}: all cameras must have one picture size, found {sorted(sizes)}")
+    height, width = sizes.pop()
+    return CameraPath(Cameras(cam_from_world.float(), intrinsics.float()), height, width)

@@ -1,0 +1,191 @@
+"""Gaussians as the PLY files of 3D Gaussian Splatting, which every splat viewer opens."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, Num
+from torch import Tensor
+
+from instok3d.files import replacing
+from instok3d.scene.scene import Scene
+from instok3d.types import Gaussians
+
+HEADER_LIMIT_BYTES = 128 * 1024
+OPACITY_LIMIT = 1e-6
+"""Opacities are kept this far from 0 and 1, where the logit is infinite."""
+LOG_SCALE_LIMIT = 20.0
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2",
+    "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4",
+    "uint32": "<u4", "float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8",
+}  # fmt: skip
+NEEDED = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+          "rot_0", "rot_1", "rot_2", "rot_3"]  # fmt: skip
+
+
+def write_ply(
+    path: Path,
+    gaussians: Gaussians,
+    *,
+    sh_degree: int = 3,
+    object_ids: Int[Tensor, " gaussian"] | None = None,
+    comments: tuple[str, ...] = (),
+) -> None:
+    """Write unbatched Gaussians in their order; replaces `path` atomically.
+
+    Log scales, logit opacities, quaternions wxyz, colour as f_dc and channel-major f_rest, in
+    OpenCV axes as they are. Bands that the Gaussians lack are zeros: many readers know only
+    degree 0 and 3. Bands above `sh_degree` are left out.
+
+    Args:
+        path: Where to; its folder must exist.
+        gaussians: Unbatched.
+        sh_degree: Degree of the file, 0 to 3.
+        object_ids: Written as one more float column `object_id`; readers with a fixed layout
+            refuse such files.
+        comments: Lines for the header.
+
+    Raises:
+        ValueError: sh_degree is not in 0..3 or a comment holds a line break.
+    """
+    if sh_degree not in (0, 1, 2, 3):
+        raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
+    if any("\n" in line or "\r" in line for line in comments):
+        raise ValueError("a PLY comment must be one line")
+    columns = _columns(gaussians, sh_degree)
+    if object_ids is not None:
+        columns["object_id"] = object_ids.cpu().numpy()
+    count = gaussians.means.shape[0]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    header += [f"element vertex {count}", *(f"property float {name}" for name in columns)]
+    rows = np.stack([np.asarray(column, "<f4") for column in columns.values()], axis=1)
+    with replacing(path) as part, part.open("wb") as stream:
+        stream.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace"))
+        stream.write(np.ascontiguousarray(rows).tobytes())
+
+
+def read_ply(path: Path) -> Gaussians:
+    """Unbatched Gaussians of a 3DGS PLY file, on the CPU in float32; anchor_index is all 0.
+
+    The header is checked against the file's size before anything is allocated. Rows with a
+    number that is not finite are dropped with a warning.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: Not a binary little-endian PLY of Gaussians, or its size is wrong.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(HEADER_LIMIT_BYTES)
+    count, layout, offset = _parse_header(path, head)
+    have = path.stat().st_size
+    want = offset + count * layout.itemsize
+    if have != want:
+        raise ValueError(
+            f"{path}: the header promises {count} Gaussians in {want} bytes but the file has "
+            f"{have}; it is cut short or damaged"
+        )
+    rows = np.fromfile(path, dtype=layout, count=count, offset=offset)
+    return _gaussians(path, rows)
+
+
+def scene_comments(scene: Scene) -> tuple[str, ...]:
+    """What the header of a scene's PLY says of its frame and units."""
+    return (
+        "SplatRenderMode: default",
+        "Vertical axis: 0 -1 0",
+        f"instok3d generator: {scene.provenance.generator}",
+        f"instok3d world: {scene.frame}, OpenCV axes (x right, y down, z forward)",
+        f"instok3d units: {scene.units}",
+        "instok3d order: sorted by object; rows of each object in objects.json, gaussian_range",
+    )
+
+
+def _columns(gaussians: Gaussians, sh_degree: int) -> dict[str, Num[np.ndarray, " gaussian"]]:
+    """Column name -> values, in the order of the reference implementation."""
+    means, sh = gaussians.means.detach().cpu().numpy(), gaussians.sh.detach().cpu()
+    rest = sh.new_zeros(sh.shape[0], 15, 3)
+    rest[:, : sh.shape[1] - 1] = sh[:, 1:]
+    count = (sh_degree + 1) ** 2 - 1
+    # Channel-major: all coefficients of red, then green, then blue.
+    rest = rest[:, :count].mT.reshape(sh.shape[0], 3 * count).numpy()
+    opacities = gaussians.opacities.detach().cpu().double()
+    logits = opacities.clamp(OPACITY_LIMIT, 1 - OPACITY_LIMIT).logit().numpy()
+    log_scales = gaussians.scales.detach().cpu().clamp_min(1e-9).log().numpy()
+    quats = gaussians.quats.detach().cpu().numpy()
+    normals = np.zeros(len(means))
+    columns = {name: means[:, i] for i, name in enumerate("xyz")}
+    columns |= dict.fromkeys(("nx", "ny", "nz"), normals)
+    columns |= {f"f_dc_{i}": sh[:, 0, i].numpy() for i in range(3)}
+    columns |= {f"f_rest_{i}": rest[:, i] for i in range(3 * count)}
+    columns |= {"opacity": logits}
+    columns |= {f"scale_{i}": log_scales[:, i] for i in range(3)}
+    columns |= {f"rot_{i}": quats[:, i] for i in range(4)}
+    return columns
+
+
+def _parse_header(path: Path, head: bytes) -> tuple[int, np.dtype, int]:
+    """Number of rows, their layout, and where they begin."""
+    end = head.find(b"end_header")
+    after = head[end + 10 : end + 12]
+    newline = 2 if after == b"\r\n" else 1
+    if not head.startswith(b"ply") or end < 0 or after[:1] not in (b"\n", b"\r"):
+        raise ValueError(f"{path} is not a PLY file: no header found in its first bytes")
+    lines = [line.split() for line in head[:end].decode("ascii", "replace").splitlines()[1:]]
+    lines = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
+    if not lines or lines[0] != ["format", "binary_little_endian", "1.0"]:
+        found = " ".join(lines[0]) if lines else "nothing"
+        raise ValueError(f"{path}: wanted format binary_little_endian 1.0, found {found}")
+    elements = [line for line in lines if line[0] == "element"]
+    if len(elements) != 1 or elements[0][1] != "vertex" or not elements[0][2].isdecimal():
+        found = ", ".join(line[1] for line in elements if len(line) > 1)
+        raise ValueError(
+            f"{path}: wanted one element 'vertex' with one row a Gaussian, found: {found}; "
+            "compressed PLYs and meshes are not read"
+        )
+    layout = []
+    for line in lines:
+        if line[0] == "property":
+            if len(line) != 3 or line[1] not in TYPES:
+                raise ValueError(f"{path}: cannot read the property '{' '.join(line)}'")
+            layout.append((line[2], TYPES[line[1]]))
+    names = [name for name, _ in layout]
+    missing = [name for name in NEEDED if name not in names]
+    if missing or len(set(names)) != len(names):
+        raise ValueError(f"{path} holds no Gaussians: missing or doubled columns {missing}")
+    return int(elements[0][2]), np.dtype(layout), end + 10 + newline
+
+
+def _gaussians(path: Path, rows: np.ndarray) -> Gaussians:
+    """The rows as Gaussians, without those that are not finite."""
+
+    def stack(names: list[str]) -> Float[Tensor, "gaussian column"]:
+        if not names:
+            return torch.zeros(len(rows), 0)
+        table = np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+        return torch.from_numpy(table)
+
+    num_rest = sum((name.startswith("f_rest_") for name in rows.dtype.names or ()), 0)
+    if num_rest not in (0, 9, 24, 45):
+        raise ValueError(f"{path}: {num_rest} columns f_rest_*; wanted 0, 9, 24 or 45")
+    rest = stack([f"f_rest_{i}" for i in range(num_rest)])
+    table = torch.cat([stack(NEEDED), rest], dim=1)
+    finite = table.isfinite().all(dim=1)
+    if not finite.all():
+        count = int((~finite).sum())
+        warnings.warn(f"{path}: dropped {count} Gaussians that are not finite", stacklevel=3)
+    table = table[finite]
+    count = table.shape[0]
+    rest = table[:, 14:].reshape(count, 3, num_rest // 3).mT
+    quats = torch.nn.functional.normalize(table[:, 10:14], dim=1)
+    quats[(quats == 0).all(dim=1)] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    return Gaussians(
+        means=table[:, :3].contiguous(),
+        quats=quats,
+        scales=table[:, 7:10].clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp(),
+        opacities=table[:, 6].sigmoid(),
+        sh=torch.cat([table[:, None, 3:6], rest], dim=1).contiguous(),
+        anchor_index=torch.zeros(count, dtype=torch.long),
+    )

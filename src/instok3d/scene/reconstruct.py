@@ -1,0 +1,116 @@
+"""The main job: photos in, a scene of objects out."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from instok3d import __version__
+from instok3d.data.photos import PhotoSet, read_photos
+from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_card
+from instok3d.model.tokenizer import Tokenizer
+from instok3d.scene.files import load_scene
+from instok3d.scene.from_tokens import scene_from_tokens
+from instok3d.scene.scene import Provenance, Scene, SceneView
+
+TRAINED_ON_ROOMS = (
+    "the default model was trained on rendered rooms alone: its results on real photos are poor"
+)
+IMAGE_SIDE = 128
+"""Pixels of a square view, for models whose card does not say `image_side`."""
+
+
+def load(path: str | Path) -> Scene:
+    """The scene of a folder that `Scene.save` wrote; see `instok3d.scene.files.load_scene`."""
+    return load_scene(Path(path))
+
+
+def reconstruct(
+    photos: str | Path | Sequence[str | Path],
+    *,
+    cameras: str | Path | None = None,
+    model: str | Path | Tokenizer | None = None,
+    seed: int = 0,
+    max_views: int = 16,
+    device: str | torch.device = "cpu",
+    progress: Callable[[str], None] | None = None,
+) -> Scene:
+    """A scene of objects from photos of one room. Not differentiable.
+
+    Same files, model and seed on the same machine give the same scene.
+
+    Args:
+        photos: A folder, files, a pattern or a video.
+        cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
+            scene.json. The scene is then in their world and units; otherwise in the frame of
+            the first photo's camera and in arbitrary units.
+        model: A model file, or a model; the default model when None.
+        seed: Seeds torch for the run; the caller's random state is left as it was.
+        max_views: Of more photos, this many are chosen to cover all.
+        device: Where the model runs; the scene comes back on the CPU.
+        progress: Called with the name of each stage as it begins.
+
+    Raises:
+        FileNotFoundError: Something named is not there; MissingWeightsError for the model.
+        PermissionError: Something may not be read.
+        ValueError: No photo, a damaged one, or cameras that do not fit; says which.
+    """
+    begin = progress or (lambda stage: None)
+    begin("photos")
+    path = None if isinstance(model, Tokenizer) else DEFAULT_MODEL if model is None else Path(model)
+    card = {} if path is None else read_card(path)
+    side = int(card.get("image_side", IMAGE_SIDE))
+    photo_set = read_photos(photos, height=side, width=side, max_views=max_views, cameras=cameras)
+    begin("model")
+    tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
+    tokenizer = tokenizer.to(device).eval()
+    views = _to(photo_set.views, device)
+    with torch.random.fork_rng(), torch.no_grad():
+        torch.manual_seed(seed)
+        begin("geometry")
+        geometry = tokenizer.backbone(views)
+        begin("tokens")
+        tokens = _to(tokenizer(views, geometry), "cpu")
+    begin("objects")
+    notes = [TRAINED_ON_ROOMS] if model is None else []
+    for note in notes:
+        warnings.warn(note, stacklevel=2)
+    given = photo_set.views.cam_from_world
+    return scene_from_tokens(
+        tokens,
+        _bytes(photo_set.views.images[0]),
+        _scene_views(photo_set),
+        provenance=Provenance(
+            generator=f"instok3d {__version__}",
+            model="in memory" if path is None else str(card.get("name", path.name)),
+            model_sha256="" if path is None else file_sha256(path),
+            seed=seed,
+        ),
+        cam_from_world=None if given is None else given[0],
+        units=photo_set.units,
+        notes=[*notes, *photo_set.warnings],
+    )
+
+
+def _scene_views(photos: PhotoSet) -> list[SceneView]:
+    rows = zip(photos.names, photos.sha256, photos.pixel_maps, strict=True)
+    return [SceneView(name, digest, pixel_map) for name, digest, pixel_map in rows]
+
+
+def _bytes(images: Float[Tensor, "view 3 height width"]) -> UInt8[Tensor, "view height width 3"]:
+    return (images * 255).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+
+
+def _to(stage: Any, device: str | torch.device) -> Any:
+    """A stage of the flow with all its tensors on a device."""
+    values = {}
+    for name, value in vars(stage).items():
+        if isinstance(value, Tensor):
+            values[name] = value.to(device)
+        else:
+            values[name] = None if value is None else _to(value, device)
+    return type(stage)(**values)

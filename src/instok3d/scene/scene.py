@@ -1,0 +1,213 @@
+"""A reconstructed scene: its objects, and pictures of them from anywhere."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from instok3d.data.pixel_map import PixelMap
+from instok3d.geometry.cameras import invert_rigid, resize_intrinsics
+from instok3d.render import render
+from instok3d.scene.id_maps import group_maps
+from instok3d.scene.objects import SceneObject
+from instok3d.types import Cameras, Gaussians, Rendering
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """One photo that the scene was made from."""
+
+    file: str
+    """Name of the file, without its folder."""
+    sha256: str
+    """Of the file's bytes."""
+    pixel_map: PixelMap
+    """Between the photo's pixels and those of the view at the scene's size."""
+
+
+@dataclass(frozen=True)
+class SceneTokens:
+    """The compact form of a scene: anchors, groups, and which anchor is whose."""
+
+    positions: Float[Tensor, "anchor 3"]
+    """a, in the scene's world."""
+    anchors: Float[Tensor, "anchor channel"]
+    """A."""
+    groups: Float[Tensor, "group channel"]
+    """G."""
+    assignment: Float[Tensor, "anchor group+1"]
+    """pi; the last column is the void."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a scene was made with."""
+
+    generator: str
+    """Program and version."""
+    model: str
+    """Name of the model."""
+    model_sha256: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Pictures(Rendering):
+    """Rendered views of a scene, with object ids where they were asked for."""
+
+    ids: Int[Tensor, "view height width"] | None = None
+    """Object id of every pixel, 0 where no object is; None unless asked for."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Objects and the Gaussians they consist of.
+
+    An anchor belongs to the group with the largest assignment probability, or to none where the
+    void's is larger. Such a group is an object when it also wins enough pixels of some input
+    view (`from_tokens.MIN_PIXELS`); all other Gaussians are the rest, which renders like the
+    objects and belongs to none of them.
+    """
+
+    gaussians: Gaussians
+    """Unbatched, sorted by object in the order of `objects`; the rest comes last."""
+    tokens: SceneTokens
+    cameras: Cameras
+    """Of the input views; intrinsics for pictures of the scene's height and width."""
+    height: int
+    """Of the input views as the model saw them, pixels."""
+    width: int
+    objects: tuple[SceneObject, ...]
+    """By rising id."""
+    views: tuple[SceneView, ...]
+    photos: UInt8[Tensor, "view height width 3"]
+    """The input views as the model saw them, sRGB."""
+    units: Literal["metres", "arbitrary"]
+    """Of all lengths."""
+    frame: Literal["first camera", "given cameras"]
+    """The world: OpenCV axes of the first view's camera, or that of the given cameras."""
+    warnings: tuple[str, ...]
+    provenance: Provenance
+
+    @property
+    def near_far(self) -> tuple[float, float]:
+        """z-depths between which Gaussians are drawn: 5 cm and 100 m of a room 2.5 m deep.
+
+        Relative to the distance of the Gaussians, since the units may be arbitrary.
+        """
+        center = invert_rigid(self.cameras.cam_from_world[0])[:3, 3]
+        distances = (self.gaussians.means - center).norm(dim=1)
+        typical = float(distances.median()) if len(distances) else 1.0
+        return 0.02 * typical, 40 * typical
+
+    def object(self, which: int | str) -> SceneObject:
+        """The object of an id or a key such as "object#3".
+
+        Raises:
+            KeyError: The scene has no such object.
+        """
+        for candidate in self.objects:
+            if which in (candidate.id, candidate.key):
+                return candidate
+        known = ", ".join(str(candidate.id) for candidate in self.objects) or "none"
+        raise KeyError(f"no object {which!r} in this scene; its ids are: {known}")
+
+    def render(
+        self,
+        cameras: Cameras | Sequence[int] | None = None,
+        height: int | None = None,
+        width: int | None = None,
+        *,
+        only: int | str | Sequence[int | str] | None = None,
+        ids: bool = False,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> Pictures:
+        """Pictures from the input views, from some of them, or from any cameras.
+
+        Args:
+            cameras: Unbatched, in the scene's world, intrinsics for the asked size; or indices
+                of input views; or None for all of those.
+            height: Of the pictures, pixels; the scene's own when None. Intrinsics of input
+                views are scaled to it.
+            width: Likewise.
+            only: Ids or keys of the objects to draw; None draws everything, the rest too.
+            ids: Return id maps too (not differentiable; see `group_maps`).
+            background: sRGB behind everything.
+
+        Raises:
+            KeyError: `only` names an object that is not there.
+            ValueError: An index of a view that is not there.
+        """
+        height, width = height or self.height, width or self.width
+        if not isinstance(cameras, Cameras):
+            cameras = self._input_cameras(cameras, height, width)
+        gaussians = self.gaussians if only is None else self.part(only)
+        near, far = self.near_far
+        rendering = render(
+            gaussians, cameras, height, width, background=tuple(background), near=near, far=far
+        )
+        id_maps = self._id_maps(gaussians, cameras, height, width) if ids else None
+        return Pictures(rendering.colors, rendering.alphas, rendering.depths, ids=id_maps)
+
+    def part(self, only: int | str | Sequence[int | str]) -> Gaussians:
+        """The Gaussians of one or some objects, in the scene's order.
+
+        Raises:
+            KeyError: The scene has no such object.
+        """
+        names = [only] if isinstance(only, int | str) else only
+        rows = torch.zeros(len(self.gaussians.means), dtype=torch.bool)
+        for name in names:
+            start, count = self.object(name).gaussian_range
+            rows[start : start + count] = True
+        rows = rows.to(self.gaussians.means.device)
+        return Gaussians(**{name: value[rows] for name, value in vars(self.gaussians).items()})
+
+    def object_ids(self) -> Int[Tensor, " gaussian"]:
+        """The id of the object of each Gaussian, 0 for the rest."""
+        ids = torch.zeros(len(self.gaussians.means), dtype=torch.long)
+        for item in self.objects:
+            start, count = item.gaussian_range
+            ids[start : start + count] = item.id
+        return ids
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the scene folder; see `instok3d.scene.files.save_scene`."""
+        from instok3d.scene.files import save_scene
+
+        save_scene(self, Path(path), overwrite=overwrite)
+
+    def _input_cameras(self, views: Sequence[int] | None, height: int, width: int) -> Cameras:
+        indices = list(range(len(self.views)) if views is None else views)
+        if any(not 0 <= index < len(self.views) for index in indices):
+            raise ValueError(f"views must lie in 0..{len(self.views) - 1}, got {indices}")
+        intrinsics = resize_intrinsics(
+            self.cameras.intrinsics[indices],
+            scale_x=width / self.width,
+            scale_y=height / self.height,
+        )
+        return Cameras(self.cameras.cam_from_world[indices], intrinsics)
+
+    @torch.no_grad()
+    def _id_maps(
+        self, gaussians: Gaussians, cameras: Cameras, height: int, width: int
+    ) -> Int[Tensor, "view {height} {width}"]:
+        """View by view: the maps of all groups in all views together could fill the memory."""
+        id_of_group = torch.zeros(self.tokens.assignment.shape[1], dtype=torch.long)
+        for item in self.objects:
+            id_of_group[item.id - 1] = item.id
+        near, far = self.near_far
+        maps = torch.zeros(len(cameras.intrinsics), height, width, dtype=torch.long)
+        for view in range(len(maps)):
+            camera = Cameras(
+                cameras.cam_from_world[view : view + 1], cameras.intrinsics[view : view + 1]
+            )
+            winners = group_maps(
+                gaussians, self.tokens.assignment, camera, height, width, near=near, far=far
+            )
+            maps[view] = id_of_group[winners.groups.cpu()]
+        return maps

@@ -1,0 +1,275 @@
+import errno
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import instok3d
+from instok3d.cli import COMMANDS, exit_code, main
+from instok3d.scene.ply import read_ply
+from made_model import made_model, made_photos
+from made_scene import made_scene, made_tokens
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(made_model(tmp_path_factory.mktemp("model") / "random.safetensors"))
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> str:
+    made_scene(made_tokens()).save(tmp_path / "room.itk")
+    return str(tmp_path / "room.itk")
+
+
+def test_help_is_quick_and_names_every_command():
+    started = time.perf_counter()
+    shown = subprocess.run(
+        [sys.executable, "-m", "instok3d", "--help"], capture_output=True, text=True, check=True
+    )
+    # 0.3 s on an idle core; a bare `import torch` alone would take more than a second.
+    assert time.perf_counter() - started < 3
+    assert all(f"  {name} " in shown.stdout for name in COMMANDS)
+
+
+def test_help_does_not_import_torch():
+    code = "import sys, instok3d.cli as c; c.main(['--help']); assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_unknown_commands_and_options_are_bad_input(capsys: pytest.CaptureFixture[str]):
+    assert main(["paint"]) == 2
+    assert "no command 'paint'" in capsys.readouterr().err
+    assert main(["info", "--nonsense"]) == 2
+    assert main([]) == 2
+    assert main(["info", "--help"]) == 0
+
+
+def test_photos_become_a_scene(
+    tmp_path: Path, model: str, capsys: pytest.CaptureFixture[str]
+):  # fmt: skip
+    photos = made_photos(tmp_path / "photos")
+    output = tmp_path / "room.itk"
+    words = ["reconstruct", str(photos), "-o", str(output), "--model", model, "--timings"]
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    assert f"written to {output}" in shown.out
+    for stage in ("photos", "model", "geometry", "tokens", "objects", "previews", "save"):
+        assert stage in shown.err
+    scene = instok3d.load(output)
+    assert (scene.height, scene.width) == (32, 32)
+    assert [view.file for view in scene.views] == ["0.png", "1.png"]
+    assert scene.provenance.model == "random"
+    assert (scene.frame, scene.units) == ("first camera", "arbitrary")
+
+
+def test_same_photos_and_seed_give_the_same_bytes(tmp_path: Path, model: str):
+    photos = made_photos(tmp_path / "photos", 1)
+    for name in ("a.itk", "b.itk"):
+        assert main(["reconstruct", str(photos), "-o", str(tmp_path / name), "--model", model]) == 0
+    first, second = (
+        {file.name: file.read_bytes() for file in (tmp_path / name).rglob("*") if file.is_file()}
+        for name in ("a.itk", "b.itk")
+    )
+    assert first == second
+
+
+def test_json_is_one_object_on_stdout(tmp_path: Path, model: str, capsys: pytest.CaptureFixture):
+    photos = made_photos(tmp_path / "photos")
+    output = str(tmp_path / "room.itk")
+    assert main(["reconstruct", str(photos), "-o", output, "--model", model, "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert made["scene"] == output
+    assert set(made["timings_s"]) >= {"photos", "geometry", "tokens", "save"}
+    assert main(["info", output, "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert {name: made[name] for name in info} == info
+
+
+def test_given_cameras_make_the_world(tmp_path: Path, model: str):
+    photos = made_photos(tmp_path / "photos")
+    world_from_cam = torch.eye(4)
+    world_from_cam[:3, 3] = torch.tensor([5.0, 6, 7])
+    frames = []
+    for index in range(2):
+        world_from_cam[0, 3] += 0.2 * index
+        frames.append({"id": str(index), "color": f"{index}.png", "c2w": world_from_cam.tolist()})
+    cameras = {"width": 60, "height": 40, "K": [[50, 0, 30], [0, 50, 20], [0, 0, 1]],
+               "convention": "c2w, OpenCV axes, metres", "frames": frames}  # fmt: skip
+    (photos / "scene.json").write_text(json.dumps(cameras))
+    output = tmp_path / "room.itk"
+    words = ["reconstruct", str(photos), "-o", str(output), "--model", model]
+    assert main([*words, "--cameras", str(photos / "scene.json")]) == 0
+    scene = instok3d.load(output)
+    assert (scene.frame, scene.units) == ("given cameras", "metres")
+    torch.testing.assert_close(
+        scene.cameras.cam_from_world[:, :3, 3], torch.tensor([[-5.0, -6, -7], [-5.2, -6, -7]])
+    )
+    # The Gaussians lie in front of the cameras, which look along z from z = 7.
+    assert float(scene.gaussians.means[:, 2].median()) > 7
+
+
+BAD_INPUTS = {
+    "there is no file or folder": lambda folder: folder / "nowhere",
+    "holds no photo": lambda folder: folder,
+    "": lambda folder: (folder / "text.png").write_text("not a picture") and folder,
+}
+
+
+@pytest.mark.parametrize("message", BAD_INPUTS)
+def test_bad_photos_are_bad_input_and_leave_nothing(
+    tmp_path: Path, model: str, capsys: pytest.CaptureFixture[str], message: str
+):
+    (tmp_path / "in").mkdir()
+    source = str(BAD_INPUTS[message](tmp_path / "in"))
+    assert main(["reconstruct", source, "-o", str(tmp_path / "out.itk"), "--model", model]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("instok3d: ")
+    assert message in error
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_a_scene_that_is_there_is_kept_before_any_work(
+    room: str, model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    photos = made_photos(tmp_path / "photos")
+    before = instok3d.load(room).objects
+    words = ["reconstruct", str(photos), "-o", room, "--model", model]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "pass --overwrite" in error
+    assert "geometry" not in error
+    assert instok3d.load(room).objects == before
+    assert main([*words, "--overwrite"]) == 0
+    assert instok3d.load(room).provenance.model == "random"
+
+
+def test_missing_weights_have_their_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    photos = made_photos(tmp_path / "photos")
+    words = ["reconstruct", str(photos), "-o", str(tmp_path / "a.itk"), "--model", "nowhere.st"]
+    assert main(words) == 4
+    assert "nowhere.st" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), 3),
+        (MemoryError(), 3),
+        (KeyboardInterrupt(), 130),
+        (PermissionError(errno.EACCES, "Permission denied", "x"), 2),
+        (RuntimeError("a fault"), 1),
+    ],
+)
+def test_errors_while_saving_have_their_codes_and_leave_nothing(
+    tmp_path: Path,
+    model: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    code: int,
+):
+    def fail(*arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr("instok3d.scene.files.write_previews", fail)
+    photos = made_photos(tmp_path / "photos")
+    output = tmp_path / "a.itk"
+    assert main(["reconstruct", str(photos), "-o", str(output), "--model", model]) == code
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+    shown = capsys.readouterr()
+    assert "instok3d: " in shown.err
+    assert ("Traceback" in shown.err) == (code == 1)
+    assert shown.out == ""
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]):
+    assert main(["info", "nowhere.itk", "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+    assert exit_code(RuntimeError("DefaultCPUAllocator: can't allocate memory")) == 3
+
+
+def test_info_tells_the_objects(room: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["info", room]) == 0
+    shown = capsys.readouterr().out
+    assert "2 views of 24 x 32, 2 objects, 40 Gaussians (20 of them of objects)" in shown
+    assert "object#3" in shown
+
+
+def test_render_writes_a_folder_with_ids(room: str, tmp_path: Path):
+    folder = tmp_path / "pictures"
+    assert main(["render", room, "-o", str(folder), "--ids"]) == 0
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["000.png", "000_ids.png", "001.png", "001_ids.png"]
+    with Image.open(folder / "000_ids.png") as ids:
+        assert set(np.unique(np.array(ids)).tolist()) == {0, 1, 3}
+    assert main(["render", room, "-o", str(folder)]) == 2
+    assert main(["render", room, "-o", str(folder), "--overwrite"]) == 0
+
+
+def test_render_writes_a_strip_of_an_orbit_at_any_size(room: str, tmp_path: Path):
+    strip = tmp_path / "strip.png"
+    words = ["render", room, "-o", str(strip), "--path", "orbit", "--frames", "3"]
+    assert main([*words, "--height", "12", "--width", "16", "--only", "object#1"]) == 0
+    with Image.open(strip) as picture:
+        assert picture.size == (48, 12)
+        assert picture.getpixel((15, 0)) == (255, 255, 255)
+
+
+def test_render_takes_cameras_of_a_file(room: str, tmp_path: Path):
+    own, inputs = tmp_path / "own.png", tmp_path / "inputs.png"
+    assert main(["render", room, "-o", str(own), "--path", f"{room}/cameras.json"]) == 0
+    assert main(["render", room, "-o", str(inputs)]) == 0
+    assert own.read_bytes() == inputs.read_bytes()
+
+
+def test_render_refuses_what_is_not_there(room: str, tmp_path: Path, capsys: pytest.CaptureFixture):
+    strip = str(tmp_path / "strip.png")
+    for words, message in {
+        ("-o", strip, "--only", "2"): "no object 2 in this scene; its ids are: 1, 3",
+        ("-o", strip, "--path", "nowhere.json"): "no camera path nowhere.json",
+        ("-o", strip, "--path", f"{room}/objects.json"): "is no list of cameras",
+        ("-o", strip, "--path", "orbit", "--frames", "0"): "at least 1 frame",
+        ("-o", str(tmp_path / "a.gif")): "must end in .png or .mp4",
+    }.items():
+        assert main(["render", room, *words]) == 2
+        assert message in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room.itk"]
+
+
+def test_render_writes_a_film(room: str, tmp_path: Path):
+    imageio = pytest.importorskip("imageio.v3")
+    film = tmp_path / "film.mp4"
+    assert main(["render", room, "-o", str(film), "--path", "orbit", "--frames", "4"]) == 0
+    assert imageio.imread(film).shape == (4, 24, 32, 3)
+
+
+def test_export_writes_a_ply_of_all_or_one(room: str, tmp_path: Path):
+    whole, one = tmp_path / "room.ply", tmp_path / "one.ply"
+    assert main(["export", room, "-o", str(whole), "--with-ids"]) == 0
+    assert len(read_ply(whole).means) == 40
+    assert b"comment instok3d units: arbitrary\n" in whole.read_bytes()
+    assert main(["export", room, "-o", str(one), "--only", "3", "--sh", "0"]) == 0
+    scene = instok3d.load(room)
+    torch.testing.assert_close(read_ply(one).means, scene.part(3).means)
+    assert main(["export", room, "-o", str(one)]) == 2
+    assert main(["export", room, "-o", str(tmp_path / "room.obj")]) == 2
+
+
+def test_doctor_reports(capsys: pytest.CaptureFixture[str]):
+    assert main(["doctor", "--json"]) == 0
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    names = [finding["name"] for finding in findings]
+    assert {"torch", "native kernels", "default model", "memory"} <= set(names)
+    assert main(["doctor"]) == 0
+
+
+def test_the_version_is_that_of_the_package():
+    project = Path(__file__).resolve().parents[2] / "pyproject.toml"
+    assert f'version = "{instok3d.__version__}"' in project.read_text()

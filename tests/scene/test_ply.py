@@ -1,0 +1,144 @@
+import math
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from instok3d.render import render
+from instok3d.scene.ply import read_ply, write_ply
+from instok3d.scene.scene import Scene
+from instok3d.types import Cameras, Gaussians
+from made_scene import made_scene, made_tokens
+
+
+def psnr(first: torch.Tensor, second: torch.Tensor) -> float:
+    return float(-10 * (first - second).square().mean().log10())
+
+
+def one_gaussian() -> Gaussians:
+    return Gaussians(
+        means=torch.tensor([[1.0, 2.0, 3.0]]),
+        quats=torch.tensor([[0.5, -0.5, 0.5, -0.5]]),
+        scales=torch.tensor([[1.0, math.e, math.e**2]]),
+        opacities=torch.tensor([0.5]),
+        sh=torch.arange(12.0).view(1, 4, 3),
+        anchor_index=torch.tensor([0]),
+    )
+
+
+def test_bytes_of_one_gaussian_by_hand(tmp_path: Path):
+    write_ply(tmp_path / "a.ply", one_gaussian(), sh_degree=1, comments=("made by hand",))
+    header, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    assert header.startswith(b"ply\nformat binary_little_endian 1.0\ncomment made by hand\n")
+    # Position, normal 0, f_dc = coefficient 0, f_rest = coefficients 1..3 of red (3, 6, 9), then
+    # green and blue, logit(1/2) = 0, log scales 0, 1, 2, quaternion wxyz.
+    numbers = [1, 2, 3, 0, 0, 0, 0, 1, 2, 3, 6, 9, 4, 7, 10, 5, 8, 11, 0, 0, 1, 2,
+               0.5, -0.5, 0.5, -0.5]  # fmt: skip
+    assert struct.unpack(f"<{len(numbers)}f", body) == pytest.approx(numbers, abs=1e-6)
+
+
+@pytest.mark.parametrize("sh_count", [1, 4, 9, 16])
+def test_what_was_written_is_read_again(tmp_path: Path, sh_count: int):
+    gaussians = made_scene(made_tokens(sh_count=sh_count)).gaussians
+    write_ply(tmp_path / "a.ply", gaussians)
+    again = read_ply(tmp_path / "a.ply")
+    assert again.sh.shape[1] == 16
+    torch.testing.assert_close(again.sh[:, :sh_count], gaussians.sh)
+    assert not again.sh[:, sh_count:].any()
+    for name in ("means", "quats", "scales", "opacities"):
+        torch.testing.assert_close(getattr(again, name), getattr(gaussians, name))
+
+
+def test_export_import_renders_the_same_picture(tmp_path: Path, scene: Scene):
+    write_ply(tmp_path / "a.ply", scene.gaussians)
+    again = read_ply(tmp_path / "a.ply")
+    picture = render(again, scene.cameras, scene.height, scene.width).colors
+    assert psnr(picture, scene.render().colors) >= 50
+
+
+def test_ids_are_the_last_column_and_change_nothing_else(tmp_path: Path, scene: Scene):
+    write_ply(tmp_path / "a.ply", scene.gaussians, object_ids=scene.object_ids())
+    write_ply(tmp_path / "b.ply", scene.gaussians)
+    header, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    assert header.endswith(b"property float object_id\n")
+    rows = np.frombuffer(body, "<f4").reshape(len(scene.gaussians.means), -1)
+    assert rows[:, -1].tolist() == scene.object_ids().tolist()
+    first, second = read_ply(tmp_path / "a.ply"), read_ply(tmp_path / "b.ply")
+    assert all(torch.equal(a, b) for a, b in zip(vars(first).values(), vars(second).values(),
+                                                 strict=True))  # fmt: skip
+
+
+def test_opacities_of_exactly_0_and_1_stay_finite(tmp_path: Path):
+    both = made_scene(made_tokens()).gaussians
+    opacities = torch.zeros_like(both.opacities)
+    opacities[::2] = 1
+    write_ply(tmp_path / "a.ply", replace(both, opacities=opacities))
+    torch.testing.assert_close(read_ply(tmp_path / "a.ply").opacities, opacities, atol=2e-6, rtol=0)
+
+
+def test_no_gaussians_make_a_file_too(tmp_path: Path):
+    empty = Gaussians(**{name: value[:0] for name, value in vars(one_gaussian()).items()})
+    write_ply(tmp_path / "a.ply", empty)
+    assert read_ply(tmp_path / "a.ply").means.shape == (0, 3)
+
+
+def test_rows_that_are_not_finite_are_dropped_with_a_warning(tmp_path: Path):
+    gaussians = made_scene(made_tokens()).gaussians
+    means = gaussians.means.clone()
+    means[3, 1] = torch.inf
+    write_ply(tmp_path / "a.ply", replace(gaussians, means=means))
+    with pytest.warns(UserWarning, match="dropped 1 Gaussians"):
+        again = read_ply(tmp_path / "a.ply")
+    assert len(again.means) == len(gaussians.means) - 1
+
+
+def test_damaged_files_are_refused_before_anything_is_allocated(tmp_path: Path):
+    file = tmp_path / "a.ply"
+    write_ply(file, one_gaussian())
+    whole = file.read_bytes()
+    cases = {
+        "it is cut short": whole[:-1],
+        "cut short or damaged": whole + b"x",
+        "promises 999999999999 Gaussians": whole.replace(b"vertex 1\n", b"vertex 999999999999\n"),
+        "found format ascii": whole.replace(b"binary_little_endian", b"ascii"),
+        "missing or doubled columns .'opacity'.": whole.replace(b"property float opacity\n", b""),
+        "cannot read the property": whole.replace(b"float opacity\n", b"list uchar int a\n"),
+        "no header found": b"\x89PNG\r\n",
+        "no header found in": b"ply\n" + b"comment x\n" * 50_000,
+    }
+    for message, content in cases.items():
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            read_ply(file)
+
+
+def test_the_authors_scene_renders_like_their_photo(shared: Path):
+    # Where the published groups cover the picture; the photo has a black rim (lens correction).
+    # The focal length was fitted: the authors publish none.
+    folder = shared / "data/instok3d_authors/demo/scene0694_01"
+    groups = [read_ply(file) for file in sorted((folder / "splat").glob("*.ply"))]
+    gaussians = Gaussians(*(torch.cat(v) for v in zip(*(vars(g).values() for g in groups),
+                                                      strict=True)))  # fmt: skip
+    camera = Cameras(
+        torch.eye(4)[None], torch.tensor([[[307.8, 0, 128], [0, 307.8, 128], [0, 0, 1]]])
+    )
+    rendering = render(gaussians, camera, 256, 256)
+    photo = np.array(Image.open(folder / "scene_input.png").convert("RGB"))
+    wanted = torch.from_numpy(photo).permute(2, 0, 1) / 255
+    covered = rendering.alphas[0] > 0.8
+    rim = torch.ones(256, 256, dtype=torch.bool)
+    rim[6:-6, 6:-6] = False
+    covered &= ~rim
+    assert psnr(rendering.colors[0][:, covered], wanted[:, covered]) >= 24
+
+
+def test_other_programs_files_are_read_or_refused(shared: Path):
+    folder = shared / "data/gaussian_files"
+    splats = read_ply(folder / "metalsplatter/test-splat.3-points-from-train.ply")
+    assert splats.means.shape == (3, 3)
+    with pytest.raises(ValueError, match="compressed PLYs and meshes are not read"):
+        read_ply(folder / "playcanvas/biker.compressed.ply")

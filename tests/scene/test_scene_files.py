@@ -1,0 +1,214 @@
+import errno
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+import instok3d
+from instok3d.scene import files
+from instok3d.scene.scene import Scene
+from made_scene import made_empty_scene, made_scene, made_tokens
+
+
+def assert_same(first: Scene, second: Scene) -> None:
+    for name, value in vars(first).items():
+        other = getattr(second, name)
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(value, other), name
+        elif hasattr(value, "__dataclass_fields__") and name != "provenance":
+            for part, tensor in vars(value).items():
+                assert torch.equal(tensor, getattr(other, part)), f"{name}.{part}"
+        else:
+            assert value == other, name
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    found = [file for file in sorted(folder.rglob("*")) if file.is_file()]
+    return {str(file.relative_to(folder)): file.read_bytes() for file in found}
+
+
+@pytest.mark.parametrize("make", [lambda: made_scene(made_tokens()), made_empty_scene])
+def test_what_was_saved_is_loaded(tmp_path: Path, make: Callable[[], Scene]):
+    scene = make()
+    scene.save(tmp_path / "room.itk")
+    assert_same(instok3d.load(tmp_path / "room.itk"), scene)
+
+
+def test_a_scene_folder_holds_what_it_promises(tmp_path: Path, scene: Scene):
+    scene.save(tmp_path / "room.itk")
+    assert sorted(contents(tmp_path / "room.itk")) == [
+        "cameras.json", "gaussians.safetensors", "objects.json", "previews/contact_sheet.png",
+        "previews/inputs/000.png", "previews/inputs/001.png", "previews/objects/001.png",
+        "previews/objects/003.png", "scene.json", "tokens.safetensors",
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["room.itk"]
+    header = json.loads((tmp_path / "room.itk/scene.json").read_text())
+    assert header["version"] == 1
+    assert header["inputs"] == {view.file: view.sha256 for view in scene.views}
+    camera = json.loads((tmp_path / "room.itk/cameras.json").read_text())[1]
+    # The second camera stands 0.1 to the right of the first, which is the world.
+    assert [row[3] for row in camera["world_from_cam"]] == pytest.approx([0.1, 0, 0, 1])
+    # A photo of 48 x 66 was scaled by 1/2 and 0.5 px cropped on each side: f doubles.
+    assert camera["photo_intrinsics"][0] == pytest.approx([2 * 32 / 1.2, 0, 33])
+
+
+def test_the_same_scene_gives_the_same_bytes_also_after_loading(tmp_path: Path, scene: Scene):
+    scene.save(tmp_path / "a.itk")
+    made_scene(made_tokens()).save(tmp_path / "b.itk")
+    instok3d.load(tmp_path / "a.itk").save(tmp_path / "c.itk")
+    first = contents(tmp_path / "a.itk")
+    assert contents(tmp_path / "b.itk") == first
+    assert contents(tmp_path / "c.itk") == first
+
+
+def test_the_contact_sheet_shows_the_objects(tmp_path: Path, scene: Scene):
+    scene.save(tmp_path / "room.itk")
+    with Image.open(tmp_path / "room.itk/previews/objects/001.png") as tile:
+        assert tile.size == (scene.width, scene.height)
+        assert tile.getpixel((scene.width - 1, 0)) == (255, 255, 255)
+        red, green, blue = tile.getpixel((8, 11))  # pyright: ignore[reportGeneralTypeIssues]
+        assert red > 150 > max(green, blue)
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path, scene: Scene, empty_scene: Scene):
+    path = tmp_path / "room.itk"
+    scene.save(path)
+    before = contents(path)
+    with pytest.raises(FileExistsError, match="pass --overwrite"):
+        empty_scene.save(path)
+    assert contents(path) == before
+    empty_scene.save(path, overwrite=True)
+    assert_same(instok3d.load(path), empty_scene)
+    assert [each.name for each in tmp_path.iterdir()] == ["room.itk"]
+
+
+def test_only_a_scene_is_ever_replaced(tmp_path: Path, scene: Scene):
+    folder = tmp_path / "home"
+    folder.mkdir()
+    (folder / "diary.txt").write_text("mine")
+    file = tmp_path / "file.itk"
+    file.write_text("mine")
+    link = tmp_path / "link.itk"
+    link.symlink_to(folder)
+    for path in (folder, file, link):
+        with pytest.raises(FileExistsError, match="is not a scene folder and will not be replaced"):
+            scene.save(path, overwrite=True)
+    assert (folder / "diary.txt").read_text() == file.read_text() == "mine"
+
+
+def test_a_missing_parent_folder_is_named(tmp_path: Path, scene: Scene):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*/nowhere"):
+        scene.save(tmp_path / "nowhere" / "room.itk")
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+@pytest.mark.parametrize("step", ["save_file", "write_previews", "_write_json"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_an_interrupted_save_leaves_what_was_there(
+    tmp_path: Path,
+    scene: Scene,
+    empty_scene: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    step: str,
+    overwrite: bool,
+):
+    path = tmp_path / "room.itk"
+    if overwrite:
+        empty_scene.save(path)
+    before = contents(tmp_path)
+    calls = []
+
+    def fail_the_second_time(*arguments: object) -> None:
+        calls.append(arguments)
+        if len(calls) == 2 or step == "write_previews":
+            raise error
+
+    monkeypatch.setattr(files, step, fail_the_second_time)
+    with pytest.raises(type(error)):
+        scene.save(path, overwrite=overwrite)
+    assert contents(tmp_path) == before
+    assert [each.name for each in tmp_path.iterdir()] == (["room.itk"] if overwrite else [])
+
+
+def test_the_old_scene_comes_back_when_the_last_step_fails(
+    tmp_path: Path, scene: Scene, empty_scene: Scene, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / "room.itk"
+    empty_scene.save(path)
+    before = contents(tmp_path)
+    rename = Path.rename
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.suffix == ".part":
+            raise OSError(errno.EIO, "I/O error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(OSError, match="I/O error"):
+        scene.save(path, overwrite=True)
+    assert contents(tmp_path) == before
+
+
+def damage_json(name: str, change: Callable[[dict | list], None]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        value = json.loads((folder / name).read_text())
+        change(value)
+        (folder / name).write_text(json.dumps(value))
+
+    return apply
+
+
+def flip_a_byte(folder: Path) -> None:
+    content = bytearray((folder / "gaussians.safetensors").read_bytes())
+    content[-5] ^= 0x40
+    (folder / "gaussians.safetensors").write_bytes(bytes(content))
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    r"gaussians\.safetensors is damaged": flip_a_byte,
+    r"tokens\.safetensors is damaged": lambda f: (f / "tokens.safetensors").write_bytes(
+        b"\xff" * 64
+    ),
+    r"objects\.json is damaged": lambda f: (f / "objects.json").write_text("[{"),
+    r"objects\.json is damaged.*UTF|codec": lambda f: (f / "objects.json").write_bytes(b"\xff\xfe"),
+    r"scene\.json: .*version 1, not 2": damage_json("scene.json", lambda v: v.update(version=2)),
+    r"'units' in its JSON": damage_json("scene.json", lambda v: v.pop("units")),
+    r"'miles' is none of": damage_json("scene.json", lambda v: v.update(units="miles")),
+    r"bad picture size": damage_json("scene.json", lambda v: v.update(height=10**9)),
+    r"wanted a list of 1 to": damage_json("cameras.json", lambda v: v.clear()),
+    r"000\.png: size": damage_json("scene.json", lambda v: v.update(width=31)),
+    r"not a table of numbers": damage_json("cameras.json", lambda v: v[0].update(intrinsics=[[1]])),
+    r"not 4 x 4": damage_json(
+        "cameras.json", lambda v: [c.update(cam_from_world=[[1.0]]) for c in v]
+    ),
+    r"cannot be": damage_json("objects.json", lambda v: v[0].update(gaussian_range=[0, 999])),
+    r"not distinct": damage_json("objects.json", lambda v: v[0].update(id=3)),
+    r"wanted 3 finite": damage_json("objects.json", lambda v: v[0].update(centroid=[1, 2])),
+    r"names a view": damage_json("objects.json", lambda v: v[0].update(visible_in=[7])),
+    r"is damaged: .* in its JSON": damage_json("objects.json", lambda v: v.append(3)),
+    r"001\.png is damaged": lambda f: (f / "previews/inputs/001.png").write_bytes(b"\x89PNG"),
+}
+
+
+@pytest.mark.parametrize("message", DAMAGE)
+def test_a_damaged_scene_is_refused_with_the_reason(tmp_path: Path, scene: Scene, message: str):
+    scene.save(tmp_path / "room.itk")
+    DAMAGE[message](tmp_path / "room.itk")
+    with pytest.raises(ValueError, match=message):
+        instok3d.load(tmp_path / "room.itk")
+
+
+def test_missing_files_are_named(tmp_path: Path, scene: Scene):
+    with pytest.raises(FileNotFoundError, match="no folder of this name"):
+        instok3d.load(tmp_path / "room.itk")
+    for name in ("tokens.safetensors", "objects.json", "previews/inputs/000.png", "scene.json"):
+        scene.save(tmp_path / "room.itk")
+        (tmp_path / "room.itk" / name).unlink()
+        with pytest.raises(FileNotFoundError, match=name):
+            instok3d.load(tmp_path / "room.itk")
+        shutil.rmtree(tmp_path / "room.itk")
