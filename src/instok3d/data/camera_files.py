@@ -166,8 +166,8 @@ def _read_json(path: Path) -> CameraSet:
         return CameraSet(cameras, path, "arbitrary")
     except KeyError as error:
         raise ValueError(f"{path} lacks the field {error} that its frames need") from error
-    except (TypeError, OverflowError) as error:
-        raise ValueError(f"{path} holds a field of the wrong kind ({error})") from error
+    except (OverflowError, ZeroDivisionError) as error:
+        raise ValueError(f"{path} holds a number out of range ({error})") from error
 
 
 def _scene_frame(path: Path, data: dict[str, Any], frame: dict[str, Any]) -> PhotoCamera:
@@ -175,12 +175,12 @@ def _scene_frame(path: Path, data: dict[str, Any], frame: dict[str, Any]) -> Pho
     depth = frame.get("depth")
     return PhotoCamera(
         name=str(frame["color"]),
-        height=int(data["height"]),
-        width=int(data["width"]),
+        height=int(_number(data, "height", path)),
+        width=int(_number(data, "width", path)),
         intrinsics=_matrix(frame.get("K", data.get("K")), 3, path),
         cam_from_world=invert_rigid(_checked_rigid(_matrix(frame["c2w"], 4, path), path)),
         depth_path=None if depth is None else path.parent / str(depth),
-        depth_scale=float(data.get("depth_scale", 1000.0)),
+        depth_scale=_number(data, "depth_scale", path, 1000.0),
     )
 
 
@@ -191,27 +191,37 @@ def _transforms_frame(path: Path, frame: dict[str, Any]) -> PhotoCamera:
         raise ValueError(f"{path} uses the lens model {model}; undistort the photos to PINHOLE")
     name = str(frame["file_path"])
     if "w" in frame and "h" in frame:
-        height, width = int(frame["h"]), int(frame["w"])
+        height, width = int(_number(frame, "h", path)), int(_number(frame, "w", path))
     else:
         height, width = _size_of(path.parent / name, path)
     if "fl_x" in frame:
-        fx = float(frame["fl_x"])
+        fx = _number(frame, "fl_x", path)
     else:
-        fx = 0.5 * width / math.tan(0.5 * float(frame["camera_angle_x"]))
-    cx, cy = float(frame.get("cx", 0.5 * width)), float(frame.get("cy", 0.5 * height))
+        fx = 0.5 * width / math.tan(0.5 * _number(frame, "camera_angle_x", path))
+    fy = _number(frame, "fl_y", path, fx)
+    cx, cy = _number(frame, "cx", path, 0.5 * width), _number(frame, "cy", path, 0.5 * height)
     world_from_cam = _matrix(frame["transform_matrix"], 4, path) @ _OPENGL_FROM_OPENCV
     depth = frame.get("depth_file_path")
-    k1, k2, p1, p2 = (float(frame.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2"))
+    k1, k2, p1, p2 = (_number(frame, key, path, 0.0) for key in ("k1", "k2", "p1", "p2"))
     return PhotoCamera(
         name=name,
         height=height,
         width=width,
-        intrinsics=_intrinsics(fx, float(frame.get("fl_y", fx)), cx, cy),
+        intrinsics=_intrinsics(fx, fy, cx, cy),
         cam_from_world=invert_rigid(_checked_rigid(world_from_cam, path)),
         distortion=(k1, k2, p1, p2),
         depth_path=None if depth is None else path.parent / str(depth),
-        depth_scale=1.0 / float(frame.get("depth_unit_scale_factor", 1e-3)),
+        depth_scale=1.0 / _number(frame, "depth_unit_scale_factor", path, 1e-3),
     )
+
+
+def _number(data: dict[str, Any], key: str, source: Path, default: float | None = None) -> float:
+    value = data[key] if default is None else data.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{source}: {key} must be a number, got {value!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"{source}: {key} must be finite, got {value}")
+    return float(value)
 
 
 def _size_of(photo: Path, source: Path) -> tuple[int, int]:

@@ -16,7 +16,7 @@ MISSING_16_BIT = 65535
 
 
 def read_depth(
-    path: Path, *, scale: float, max_pixels: float = 64e6
+    path: Path, *, scale: float, max_pixels: int = 64_000_000
 ) -> Float[Tensor, "height width"]:
     """z-depth in scene units, 0 where it is unknown.
 
@@ -79,10 +79,13 @@ def depth_at_model_pixels(
 
 
 def _read_array(path: Path) -> np.ndarray:
-    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    try:
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a .npy array of numbers ({error})") from error
 
 
-def _read_picture(path: Path, max_pixels: float) -> np.ndarray:
+def _read_picture(path: Path, max_pixels: int) -> np.ndarray:
     with Image.open(path, formats=["PNG", "PPM", "TIFF"]) as image:
         if image.width * image.height > max_pixels:
             raise ValueError(

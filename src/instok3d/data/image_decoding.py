@@ -23,6 +23,8 @@ from instok3d.data.pixel_map import Fit, PixelMap, fit_pixels, upright_from_stor
 
 FORMATS = ("JPEG", "MPO", "PNG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "AVIF", "HEIF")
 """What is decoded; the other readers of Pillow (one of them starts a program) stay off."""
+MAX_PIXELS = 64_000_000
+"""Photos with more are refused before they are decoded: a phone's largest have 50 million."""
 LETTERBOX_GREY = 0.5
 DIAGONAL_35MM = math.hypot(36.0, 24.0)
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, struct.error)
@@ -68,7 +70,7 @@ def own_pixel_limit() -> Iterator[None]:
 
 
 def decode_photo(
-    path: Path, *, height: int, width: int, fit: Fit = "crop", max_pixels: float = 64e6
+    path: Path, *, height: int, width: int, fit: Fit = "crop", max_pixels: int = MAX_PIXELS
 ) -> DecodedPhoto:
     """Read one photo, turn it upright, fit it into height x width with antialiasing.
 
@@ -82,9 +84,12 @@ def decode_photo(
     """
     data = _read_bytes(path, max_pixels)
     image = _open(path, data)
-    stored_width, stored_height = image.size
-    _check_pixels(path, stored_height, stored_width, max_pixels)
+    _check_pixels(path, image.height, image.width, max_pixels)
     notes: list[str] = []
+    if image.format == "TIFF":
+        with _naming(path):
+            image.load()  # which turns it upright and drops the tag
+    stored_width, stored_height = image.size
     orientation, focal = _read_exif(path, image, notes)
     if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
         notes.append(f"{path.name} holds several pictures; only the first one is used")
@@ -97,14 +102,9 @@ def decode_photo(
         fit=fit,
         exif_orientation=orientation,
     )
-    try:
+    with _naming(path):
         profile = image.info.get("icc_profile")
-        small = _resample(image, pixel_map)
-        pixels = _to_rgb(small, profile, path, notes)
-    except _BROKEN as error:
-        raise ValueError(
-            f"{path} is damaged or cut off ({error}); copy it again or leave it out"
-        ) from error
+        pixels = _to_rgb(_resample(image, pixel_map), profile, path, notes)
     return DecodedPhoto(
         image=_place(torch.from_numpy(pixels), pixel_map),
         pixel_map=pixel_map,
@@ -114,10 +114,20 @@ def decode_photo(
     )
 
 
-def _read_bytes(path: Path, max_pixels: float) -> bytes:
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except _BROKEN as error:
+        raise ValueError(
+            f"{path} is damaged or cut off ({error}); copy it again or leave it out"
+        ) from error
+
+
+def _read_bytes(path: Path, max_pixels: int) -> bytes:
     try:
         size = path.stat().st_size
-        limit = int(8 * max_pixels) + 2**20  # nothing within max_pixels takes 8 bytes a pixel
+        limit = 8 * max_pixels + 2**20  # nothing within max_pixels takes 8 bytes a pixel
         if size > limit:
             raise ValueError(
                 f"{path} has {size / 1e6:.0f} MB, more than {max_pixels / 1e6:g} megapixels can "
@@ -163,7 +173,7 @@ def _register_heif(path: Path) -> None:
     pillow_heif.register_heif_opener()
 
 
-def _check_pixels(path: Path, height: int, width: int, max_pixels: float) -> None:
+def _check_pixels(path: Path, height: int, width: int, max_pixels: int) -> None:
     if height * width > max_pixels:
         raise ValueError(
             f"{path} has {width} x {height} = {height * width / 1e6:.1f} megapixels, more than "

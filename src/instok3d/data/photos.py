@@ -18,14 +18,12 @@ from torch import Tensor
 from instok3d.data.camera_files import CameraSet, PhotoCamera, read_cameras
 from instok3d.data.camera_fit import check_distortion, fit_camera, same_shape
 from instok3d.data.depth_files import depth_at_model_pixels, read_depth
-from instok3d.data.image_decoding import DecodedPhoto, decode_photo, own_pixel_limit
+from instok3d.data.image_decoding import MAX_PIXELS, DecodedPhoto, decode_photo, own_pixel_limit
 from instok3d.data.image_files import find_images as find_images
 from instok3d.data.pixel_map import Fit, PixelMap
 from instok3d.data.view_choice import choose_views, describe_cameras, describe_pictures
 from instok3d.types import Views
 
-MAX_PIXELS = 64e6
-"""Photos with more are refused before they are decoded: a phone's largest have 50 million."""
 THUMBNAIL_SIDE = 16
 _LOST_SHARE_TO_TELL = 0.4
 
@@ -57,7 +55,7 @@ def read_photos(
     height: int,
     width: int,
     max_views: int | None = 16,
-    max_pixels: float = MAX_PIXELS,
+    max_pixels: int = MAX_PIXELS,
     fit: Fit = "crop",
     cameras: str | Path | None = None,
 ) -> PhotoSet:
@@ -91,7 +89,7 @@ def load_photos(
     height: int,
     width: int,
     max_views: int | None = 16,
-    max_pixels: float = MAX_PIXELS,
+    max_pixels: int = MAX_PIXELS,
     fit: Fit = "crop",
     cameras: CameraSet | None = None,
 ) -> PhotoSet:
@@ -155,7 +153,7 @@ def load_photos(
 
 
 def _decode_all(
-    paths: Sequence[Path], height: int, width: int, fit: Fit, max_pixels: float
+    paths: Sequence[Path], height: int, width: int, fit: Fit, max_pixels: int
 ) -> list[DecodedPhoto]:
     def decode(path: Path) -> DecodedPhoto:
         return decode_photo(path, height=height, width=width, fit=fit, max_pixels=max_pixels)
@@ -169,7 +167,7 @@ def _decode_all(
 
 
 def _choose(
-    paths: Sequence[Path], cameras: list[PhotoCamera] | None, count: int, max_pixels: float
+    paths: Sequence[Path], cameras: list[PhotoCamera] | None, count: int, max_pixels: int
 ) -> list[int]:
     if cameras is not None:
         descriptors = describe_cameras(torch.stack([c.cam_from_world for c in cameras]))
@@ -195,13 +193,13 @@ def _remarks(photos: Sequence[DecodedPhoto]) -> list[str]:
     if max(lost) > _LOST_SHARE_TO_TELL:
         count = sum(share > _LOST_SHARE_TO_TELL for share in lost)
         remarks.append(
-            f"up to {max(lost):.0%} of {count} photos lies outside the model's image and is not "
-            "seen; fit='letterbox' keeps it"
+            f"{count} of {len(photos)} photos lose up to {max(lost):.0%} of their area at the rim, "
+            "which does not fit into the model's image; fit='letterbox' keeps it"
         )
     small = [m for m in maps if max(m.scale_x, m.scale_y) > 1.0]
     if small:
         remarks.append(
-            f"{len(small)} photos have fewer pixels than the model's image of {small[0].width} x "
+            f"{len(small)} of {len(photos)} photos have fewer pixels than the model's image of {small[0].width} x "
             f"{small[0].height} and were enlarged"
         )
     return remarks
@@ -233,7 +231,7 @@ def _posed_views(
     paths: Sequence[Path],
     cameras: Sequence[PhotoCamera],
     notes: list[str],
-    max_pixels: float,
+    max_pixels: int,
 ) -> Views:
     fitted = [
         fit_camera(camera, photo.pixel_map, path, notes)
@@ -250,7 +248,9 @@ def _posed_views(
         )[None]
         without = [c.name for c in cameras if c.depth_path is None]
         if without:
-            notes.append(f"{len(without)} photos have no depth: {', '.join(without)}")
+            notes.append(
+                f"{len(without)} of {len(cameras)} photos have no depth: {', '.join(without)}"
+            )
     return Views(
         images=_images(photos),
         intrinsics=torch.stack([camera.intrinsics for camera in fitted])[None].float(),
@@ -260,7 +260,7 @@ def _posed_views(
 
 
 def _depth(
-    camera: PhotoCamera, pixel_map: PixelMap, turned_by: int, max_pixels: float
+    camera: PhotoCamera, pixel_map: PixelMap, turned_by: int, max_pixels: int
 ) -> Float[Tensor, "height width"]:
     if camera.depth_path is None:
         return torch.zeros(pixel_map.height, pixel_map.width)

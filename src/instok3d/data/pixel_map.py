@@ -25,7 +25,8 @@ class PixelMap:
     """Of the upright photo."""
     original_width: int
     exif_orientation: int
-    """1 to 8: how the stored file had to be turned to stand upright (1: not at all)."""
+    """1 to 8: how the stored file was turned to stand upright; 1 is not at all, and also what
+    formats get whose decoder turns them by itself (TIFF, HEIC)."""
     height: int
     """Of the model's image."""
     width: int
