@@ -1,17 +1,28 @@
 """The one call that renders, and the choice of the backend behind it."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.geometry.spherical_harmonics import sh_degree
+from instok3d.render.gsplat_backend import gsplat_is_installed, render_gsplat
+from instok3d.render.native_backend import SMALLEST_ALPHA_MIN, native_status, render_native
 from instok3d.render.reference import render_reference
 from instok3d.render.settings import RasterSettings
 from instok3d.types import Cameras, Gaussians, Rendering
 
 Backend = Literal["auto", "native", "reference", "gsplat"]
+
+RENDERERS: dict[str, Callable[..., Rendering]] = {
+    "native": render_native,
+    "reference": render_reference,
+    "gsplat": render_gsplat,
+}
 
 
 def render(
@@ -31,7 +42,8 @@ def render(
 
     Differentiable in means, scales, quats, opacities, sh, anchor_features and cam_from_world;
     not in the intrinsics or the background. Gaussians with a NaN or an infinity anywhere are
-    not drawn and have zero gradients.
+    not drawn and have zero gradients. Half-precision tensors are rendered in float32, also
+    inside autocast.
 
     Args:
         gaussians: With one leading batch axis or without.
@@ -45,24 +57,120 @@ def render(
         far: Nor are those farther than this.
         settings: Thresholds.
         backend: "auto" takes gsplat for CUDA tensors, else the native kernels where they are
-            built and the tensors are float32, else the PyTorch reference.
+            built and the tensors are not float64, else the PyTorch reference.
 
     Raises:
         ValueError: Sizes that do not fit together, or an anchor index without a feature row.
     """
     batched = gaussians.means.ndim == 3
+    _check(gaussians, cameras, anchor_features, height, width)
     if not batched:
         gaussians = Gaussians(**{name: value[None] for name, value in vars(gaussians).items()})
         cameras = Cameras(cameras.cam_from_world[None], cameras.intrinsics[None])
         anchor_features = anchor_features[None] if anchor_features is not None else None
-    background = torch.as_tensor(
-        background, dtype=gaussians.means.dtype, device=gaussians.means.device
-    )
-    rendering = render_reference(
-        gaussians, cameras, height, width, anchor_features=anchor_features,
-        background=background, near=near, far=far, settings=settings,
-    )  # fmt: skip
+    dtype = torch.promote_types(gaussians.means.dtype, torch.float32)
+    renderer = RENDERERS[_chosen(backend, dtype, gaussians.means.device, settings)]
+    with torch.autocast(gaussians.means.device.type, enabled=False):
+        rendering = renderer(
+            Gaussians(**{
+                name: value.to(dtype) if value.is_floating_point() else value.long()
+                for name, value in vars(gaussians).items()
+            }),
+            Cameras(cameras.cam_from_world.to(dtype), cameras.intrinsics.to(dtype).detach()),
+            height,
+            width,
+            anchor_features=anchor_features.to(dtype) if anchor_features is not None else None,
+            background=torch.as_tensor(background).detach().to(gaussians.means.device, dtype),
+            near=near,
+            far=far,
+            settings=settings,
+        )  # fmt: skip
     if batched:
         return rendering
     features = rendering.features[0] if rendering.features is not None else None
     return Rendering(rendering.colors[0], rendering.alphas[0], rendering.depths[0], features)
+
+
+def backends() -> dict[str, str]:
+    """Each backend with how it would run here, or with what it lacks; for reports."""
+    status = native_status()
+    if status.available:
+        sets = ", ".join(status.instruction_sets)
+        native = f"available ({sets}; {status.threading})"
+    else:
+        native = f"missing: {status.reason}"
+    gsplat = "missing: pip install instok3d[gpu]"
+    if gsplat_is_installed():
+        gsplat = "available" if torch.cuda.is_available() else "installed, but no CUDA device"
+    return {"native": native, "gsplat": gsplat, "reference": "available (slow)"}
+
+
+def _chosen(
+    backend: Backend, dtype: torch.dtype, device: torch.device, settings: RasterSettings
+) -> str:
+    if backend != "auto":
+        if backend == "native" and (device.type != "cpu" or dtype != torch.float32):
+            raise ValueError(
+                f"the native rasterizer takes float32 on the CPU, got {dtype} on {device}; "
+                'use backend="auto"'
+            )
+        return backend
+    if settings.alpha_min < SMALLEST_ALPHA_MIN or dtype != torch.float32:
+        return "reference"
+    if device.type == "cuda":
+        return "gsplat"
+    if device.type != "cpu":
+        return "reference"
+    if native_status().available:
+        return "native"
+    _warn_of_slow_rendering()
+    return "reference"
+
+
+@cache
+def _warn_of_slow_rendering() -> None:
+    warnings.warn(
+        f"the native rasterizer is missing: {native_status().reason}. Rendering takes about 70 "
+        "times as long. Install a C++ compiler (GCC or Clang) and install instok3d again.",
+        stacklevel=4,
+    )
+
+
+def _check(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    anchor_features: Tensor | None,
+    height: int,
+    width: int,
+) -> None:
+    lead = gaussians.means.shape[:-2]
+    if len(lead) > 1:
+        raise ValueError(
+            f"gaussians have {len(lead)} batch axes {tuple(lead)}; render takes 0 or 1"
+        )
+    if height < 1 or width < 1:
+        raise ValueError(f"height and width must be at least 1, got {height} x {width}")
+    sh_degree(gaussians.sh)
+    count = gaussians.means.shape[-2]
+    for name, value in vars(gaussians).items():
+        if value.shape[: len(lead) + 1] != (*lead, count):
+            raise ValueError(
+                f"gaussians.{name} has the shape {tuple(value.shape)}, but means has "
+                f"{tuple(gaussians.means.shape)}: the axes before the last must agree"
+            )
+    for name, value in vars(cameras).items():
+        if value.ndim != len(lead) + 3 or value.shape[: len(lead)] != lead:
+            raise ValueError(
+                f"cameras.{name} has the shape {tuple(value.shape)}; with gaussians.means of "
+                f"{tuple(gaussians.means.shape)} it must start with {tuple(lead)} and a view axis"
+            )
+    if cameras.intrinsics.shape[-3] != cameras.cam_from_world.shape[-3]:
+        raise ValueError(
+            f"cameras have {cameras.intrinsics.shape[-3]} intrinsics and "
+            f"{cameras.cam_from_world.shape[-3]} cam_from_world; both are one for each view"
+        )
+    if anchor_features is not None and anchor_features.shape[:-2] != lead:
+        raise ValueError(
+            f"anchor_features have the shape {tuple(anchor_features.shape)}; the axes before the "
+            f"last two must be {tuple(lead)}, as those of the gaussians"
+        )

@@ -1,0 +1,205 @@
+// The Python module: arrays in and out without copies.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "rasterizer.hpp"
+#include "team.hpp"
+
+namespace nb = nanobind;
+
+namespace instok3d {
+namespace {
+
+template <class T, int AXES>
+using Array = nb::ndarray<const T, nb::ndim<AXES>, nb::c_contig, nb::device::cpu>;
+template <int AXES>
+using Floats = Array<float, AXES>;
+template <int AXES>
+using MaybeFloats = std::optional<Floats<AXES>>;
+using Output = nb::ndarray<nb::pytorch, float, nb::c_contig, nb::device::cpu>;
+
+// The fastest first.
+std::vector<const Kernels*> usable_kernels() {
+  std::vector<const Kernels*> result;
+#ifdef INSTOK3D_X86
+  __builtin_cpu_init();
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("fma")) {
+    result.push_back(&avx512_kernels);
+  }
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
+    result.push_back(&avx2_kernels);
+  }
+#endif
+  result.push_back(&portable_kernels);
+  return result;
+}
+
+const Kernels& kernels_named(const std::string& name) {
+  static const std::vector<const Kernels*> usable = usable_kernels();
+  for (const Kernels* kernels : usable) {
+    if (name == "auto" || name == kernels->name) return *kernels;
+  }
+  throw std::invalid_argument("no kernels for the instruction set '" + name + "' on this processor");
+}
+
+// A tensor in reused memory, which goes back when the tensor is gone.
+Output tensor(float*& data, std::initializer_list<std::size_t> shape) {
+  std::size_t size = sizeof(float);
+  for (const std::size_t length : shape) size *= length;
+  auto* buffer = new Buffer(size);
+  data = buffer->as<float>();
+  const nb::capsule owner(buffer, [](void* p) noexcept { delete static_cast<Buffer*>(p); });
+  return Output(data, shape, owner);
+}
+
+struct Settings {
+  int height, width;
+  double near, far, eps2d, alpha_min, alpha_max, transmittance_min;
+  float red, green, blue;
+};
+
+Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& scales,
+              const Floats<2>& opacities, const Floats<4>& sh,
+              const Array<std::int64_t, 2>& anchor_index, const Floats<4>& cam_from_world,
+              const Floats<4>& intrinsics, const MaybeFloats<3>& features, const Settings& s) {
+  Inputs in;
+  in.scenes = static_cast<int>(means.shape(0));
+  in.gaussians = static_cast<int>(means.shape(1));
+  in.views = static_cast<int>(cam_from_world.shape(1));
+  in.coefficients = static_cast<int>(sh.shape(2));
+  in.anchors = features ? static_cast<int>(features->shape(1)) : 0;
+  in.channels = features ? static_cast<int>(features->shape(2)) : 0;
+  in.height = s.height;
+  in.width = s.width;
+  in.means = means.data();
+  in.quats = quats.data();
+  in.scales = scales.data();
+  in.opacities = opacities.data();
+  in.sh = sh.data();
+  in.anchor_index = anchor_index.data();
+  in.cam_from_world = cam_from_world.data();
+  in.intrinsics = intrinsics.data();
+  in.features = features ? features->data() : nullptr;
+  in.near = s.near;
+  in.far = s.far;
+  in.eps2d = s.eps2d;
+  in.alpha_min = s.alpha_min;
+  in.alpha_max = s.alpha_max;
+  in.transmittance_min = s.transmittance_min;
+  in.background[0] = s.red;
+  in.background[1] = s.green;
+  in.background[2] = s.blue;
+  return in;
+}
+
+template <class T>
+const float* pointer(const std::optional<T>& array) {
+  return array ? array->data() : nullptr;
+}
+
+nb::tuple forward(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& scales,
+                  const Floats<2>& opacities, const Floats<4>& sh,
+                  const Array<std::int64_t, 2>& anchor_index, const Floats<4>& cam_from_world,
+                  const Floats<4>& intrinsics, const MaybeFloats<3>& features, const Settings& s,
+                  const std::string& instruction_set, int threads) {
+  const Inputs in = inputs(means, quats, scales, opacities, sh, anchor_index, cam_from_world,
+                           intrinsics, features, s);
+  const Kernels& kernels = kernels_named(instruction_set);
+  const auto scenes = std::size_t(in.scenes), views = std::size_t(in.views);
+  const auto height = std::size_t(in.height), width = std::size_t(in.width);
+  Images images = {};
+  Output colors = tensor(images.colors, {scenes, views, 3, height, width});
+  Output alphas = tensor(images.alphas, {scenes, views, height, width});
+  Output depths = tensor(images.depths, {scenes, views, height, width});
+  nb::object maps = nb::none();
+  if (features) {
+    maps = nb::cast(
+        tensor(images.features, {scenes, views, std::size_t(in.channels), height, width}));
+  }
+  std::unique_ptr<Frame> frame;
+  {
+    const nb::gil_scoped_release release;
+    frame = draw_all(in, kernels, images, threads);
+  }
+  return nb::make_tuple(nb::cast(std::move(frame)), colors, alphas, depths, maps);
+}
+
+nb::tuple backward(const Frame& frame, const Floats<3>& means, const Floats<3>& quats,
+                   const Floats<3>& scales, const Floats<2>& opacities, const Floats<4>& sh,
+                   const Array<std::int64_t, 2>& anchor_index, const Floats<4>& cam_from_world,
+                   const Floats<4>& intrinsics, const MaybeFloats<3>& features, const Settings& s,
+                   const Floats<5>& colors, const Floats<4>& alphas, const Floats<4>& depths,
+                   const MaybeFloats<5>& maps, const MaybeFloats<5>& color_grads,
+                   const MaybeFloats<4>& alpha_grads, const MaybeFloats<4>& depth_grads,
+                   const MaybeFloats<5>& map_grads, const std::string& instruction_set,
+                   int threads) {
+  const Inputs in = inputs(means, quats, scales, opacities, sh, anchor_index, cam_from_world,
+                           intrinsics, features, s);
+  const Kernels& kernels = kernels_named(instruction_set);
+  const ConstImages images = {colors.data(), alphas.data(), depths.data(), pointer(maps)};
+  const ConstImages grads = {pointer(color_grads), pointer(alpha_grads), pointer(depth_grads),
+                             pointer(map_grads)};
+  const auto scenes = std::size_t(in.scenes), gaussians = std::size_t(in.gaussians);
+  Gradients g = {};
+  Output to_means = tensor(g.gaussians.means, {scenes, gaussians, 3});
+  Output to_quats = tensor(g.gaussians.quats, {scenes, gaussians, 4});
+  Output to_scales = tensor(g.gaussians.scales, {scenes, gaussians, 3});
+  Output to_opacities = tensor(g.gaussians.opacities, {scenes, gaussians});
+  Output to_sh = tensor(g.gaussians.sh, {scenes, gaussians, std::size_t(in.coefficients), 3});
+  Output to_cameras = tensor(g.cam_from_world, {scenes, std::size_t(in.views), 4, 4});
+  nb::object to_features = nb::none();
+  if (map_grads) {
+    to_features = nb::cast(
+        tensor(g.features, {scenes, std::size_t(in.anchors), std::size_t(in.channels)}));
+  }
+  {
+    const nb::gil_scoped_release release;
+    draw_all_backward(in, kernels, frame, images, grads, g, threads);
+  }
+  return nb::make_tuple(to_means, to_quats, to_scales, to_opacities, to_sh, to_cameras,
+                        to_features);
+}
+
+}  // namespace
+}  // namespace instok3d
+
+NB_MODULE(_rasterizer, m) {
+  using namespace instok3d;
+  m.doc() = "Native rasterizer of 3D Gaussians; use instok3d.render.render.";
+  nb::class_<Frame>(m, "Frame", "What a forward pass leaves for its backward pass.");
+  nb::class_<Settings>(m, "Settings", "Size, clipping planes, thresholds and background.")
+      .def(nb::init<int, int, double, double, double, double, double, double, float, float,
+                    float>(),
+           nb::arg("height"), nb::arg("width"), nb::arg("near"), nb::arg("far"), nb::arg("eps2d"),
+           nb::arg("alpha_min"), nb::arg("alpha_max"), nb::arg("transmittance_min"),
+           nb::arg("red"), nb::arg("green"), nb::arg("blue"));
+  m.def("forward", &forward, nb::arg("means"), nb::arg("quats"), nb::arg("scales"),
+        nb::arg("opacities"), nb::arg("sh"), nb::arg("anchor_index"), nb::arg("cam_from_world"),
+        nb::arg("intrinsics"), nb::arg("features").none(), nb::arg("settings"),
+        nb::arg("instruction_set"), nb::arg("threads"));
+  m.def("backward", &backward, nb::arg("frame"), nb::arg("means"), nb::arg("quats"),
+        nb::arg("scales"), nb::arg("opacities"), nb::arg("sh"), nb::arg("anchor_index"),
+        nb::arg("cam_from_world"), nb::arg("intrinsics"), nb::arg("features").none(),
+        nb::arg("settings"), nb::arg("colors"), nb::arg("alphas"), nb::arg("depths"),
+        nb::arg("maps").none(), nb::arg("color_grads").none(), nb::arg("alpha_grads").none(),
+        nb::arg("depth_grads").none(), nb::arg("map_grads").none(), nb::arg("instruction_set"),
+        nb::arg("threads"));
+  m.def("instruction_sets", [] {
+    std::vector<std::string> names;
+    for (const Kernels* kernels : usable_kernels()) names.emplace_back(kernels->name);
+    return names;
+  });
+  m.def("threading", [] { return std::string(threading_name()); });
+}

@@ -1,0 +1,135 @@
+#include "team.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <exception>
+
+#if defined(__unix__) || defined(__APPLE__)
+#include <pthread.h>
+#endif
+#ifdef _OPENMP
+#include <omp.h>
+#else
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+#endif
+
+namespace instok3d {
+namespace {
+
+std::atomic<bool> forked{false};
+
+struct Progress {
+  std::atomic<std::int64_t> next{0};
+  std::int64_t tasks = 0;
+  std::exception_ptr error;
+};
+
+void begin(const Stage& stage, Progress& progress) {
+  progress.tasks = 0;
+  progress.next.store(0, std::memory_order_relaxed);
+  if (progress.error) return;
+  try {
+    progress.tasks = stage.prepare();
+  } catch (...) {
+    progress.error = std::current_exception();
+  }
+}
+
+void work(const Stage& stage, Progress& progress, int thread) {
+  for (;;) {
+    const std::int64_t task = progress.next.fetch_add(1, std::memory_order_relaxed);
+    if (task >= progress.tasks) return;
+    stage.run(task, thread);
+  }
+}
+
+#ifdef _OPENMP
+
+void run_team(int threads, const std::vector<Stage>& stages, Progress& progress) {
+#pragma omp parallel num_threads(threads)
+  {
+    const int thread = omp_get_thread_num();
+    for (const Stage& stage : stages) {
+#pragma omp barrier
+      if (thread == 0) begin(stage, progress);
+#pragma omp barrier
+      work(stage, progress, thread);
+    }
+  }
+}
+
+#else
+
+class Barrier {
+ public:
+  explicit Barrier(int size) : size_(size) {}
+  void wait() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    const int round = round_;
+    if (++waiting_ == size_) {
+      waiting_ = 0;
+      ++round_;
+      changed_.notify_all();
+    } else {
+      changed_.wait(lock, [&] { return round != round_; });
+    }
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  int size_, waiting_ = 0, round_ = 0;
+};
+
+void run_team(int threads, const std::vector<Stage>& stages, Progress& progress) {
+  Barrier barrier(threads);
+  const auto member = [&](int thread) {
+    for (const Stage& stage : stages) {
+      barrier.wait();
+      if (thread == 0) begin(stage, progress);
+      barrier.wait();
+      work(stage, progress, thread);
+    }
+  };
+  std::vector<std::thread> others;
+  for (int thread = 1; thread < threads; ++thread) others.emplace_back(member, thread);
+  member(0);
+  for (std::thread& other : others) other.join();
+}
+
+#endif
+
+}  // namespace
+
+void run_stages(int threads, const std::vector<Stage>& stages) {
+  Progress progress;
+  if (threads <= 1) {
+    for (const Stage& stage : stages) {
+      begin(stage, progress);
+      work(stage, progress, 0);
+    }
+  } else {
+    run_team(threads, stages, progress);
+  }
+  if (progress.error) std::rethrow_exception(progress.error);
+}
+
+int usable_threads(int wanted) {
+#if defined(__unix__) || defined(__APPLE__)
+  static const int registered = pthread_atfork(nullptr, nullptr, [] { forked = true; });
+  (void)registered;
+#endif
+  return forked ? 1 : std::max(wanted, 1);
+}
+
+const char* threading_name() {
+#ifdef _OPENMP
+  return "OpenMP";
+#else
+  return "std::thread";
+#endif
+}
+
+}  // namespace instok3d
