@@ -1,0 +1,135 @@
+"""`instok3d evaluate`: measure a model on test rooms, where everything is known."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from instok3d.evaluation.prediction import Prediction
+    from instok3d.evaluation.protocols import ProtocolRoom
+
+
+def run(
+    protocol: tyro.conf.Positional[Literal["rooms-2view", "rooms-8view"]],
+    /,
+    data: Path,
+    model: Path | None = None,
+    geometry: Literal["predicted", "given"] = "predicted",
+    scenes: int | None = None,
+    targets_per_scene: int = 3,
+    pose_alignment_steps: int = 0,
+    lpips: Path | None = None,
+    baselines: bool = False,
+    save: Path | None = None,
+    json: bool = False,
+    details: bool = False,
+    markdown: bool = False,
+) -> None:
+    """Measure pictures, masks, cameras and depth on the test rooms of a data set.
+
+    Args:
+        protocol: rooms-2view shows frames i-1 and i+1 and asks for frame i; rooms-8view shows
+            every other frame of 15 and asks for the 7 between.
+        data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`.
+        model: A model file instead of the default model.
+        geometry: predicted: bare photos. given: the model gets true cameras and depth.
+        scenes: Only the first so many rooms.
+        targets_per_scene: How many i of each room (rooms-2view).
+        pose_alignment_steps: Fit each target camera to the target photo first; off as a rule.
+        lpips: A file of LPIPS weights; without it LPIPS is null.
+        baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
+        save: A folder for one picture a room: photos, target, render, true and predicted masks.
+        json: Print one JSON object.
+        details: With --json: also settings, levels, baselines and further figures.
+        markdown: Print rows for docs/results.md.
+    """
+    from tqdm import tqdm
+
+    from instok3d.data.rooms import RoomDataset
+    from instok3d.data.rooms.shards import read_index
+    from instok3d.evaluation.protocols import protocol_rooms, room_indices
+    from instok3d.evaluation.report import as_json, as_table
+    from instok3d.evaluation.run import EvaluationSettings, evaluate
+    from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model
+    from instok3d.objectives.lpips import load_lpips
+
+    if pose_alignment_steps < 0:
+        raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
+    if details and not json:
+        raise ValueError("--details adds to the JSON object: pass --json too")
+    tokenizer = load_model(model)
+    distance = None if lpips is None else load_lpips(lpips)
+    dataset = RoomDataset(data)
+    seeds = [dataset.seed_of(number) for number in range(len(dataset))]
+    shards = read_index(data)["shards"].values()
+    rejected = {seed for shard in shards for seed in shard["rejected"]}
+    indices = room_indices(seeds, rejected=rejected, num_scenes=scenes)
+    rooms = protocol_rooms(dataset, indices, protocol, targets_per_scene=targets_per_scene)
+    if save is not None:
+        save.mkdir(parents=True, exist_ok=True)
+    file = DEFAULT_MODEL if model is None else model
+    with tqdm(total=len(indices), unit="room", file=sys.stderr, disable=None) as progress:
+
+        def on_room(room: "ProtocolRoom", predictions: "Sequence[Prediction]") -> None:
+            progress.update()
+            if save is not None:
+                _save_sheets(save, protocol, room, predictions)
+
+        report = evaluate(
+            tokenizer,
+            rooms,
+            EvaluationSettings(
+                geometry=geometry, pose_alignment_steps=pose_alignment_steps, baselines=baselines
+            ),
+            protocol=protocol,
+            model_name=f"{file.name} sha256:{file_sha256(file)[:12]}",
+            lpips=distance,
+            on_room=on_room,
+        )
+    if json:
+        from instok3d.cli.info import print_json
+
+        print_json(as_json(report, details=details))
+    elif markdown:
+        from instok3d.evaluation.report import RESULTS_HEADER, results_rows
+        from instok3d.model.files import read_card
+        from instok3d.training.checkpoint import current_commit
+
+        rows = results_rows(
+            report,
+            command=" ".join(["instok3d", *sys.argv[1:]]),
+            commit=current_commit()[:9],
+            seed=read_card(model).get("config", {}).get("seed"),
+            machine=_machine(),
+        )
+        print(f"{RESULTS_HEADER}\n{rows}")
+    else:
+        print(as_table(report))
+
+
+def _save_sheets(
+    folder: Path, protocol: str, room: "ProtocolRoom", predictions: "Sequence[Prediction]"
+) -> None:
+    from instok3d.evaluation.sheet import write_sheet
+
+    for number, (sample, prediction) in enumerate(zip(room.samples, predictions, strict=True)):
+        name = f"{protocol}_{room.level}_{room.seed}_{number}.png"
+        write_sheet(folder / name, sample, prediction)
+
+
+def _machine() -> str:
+    """Name of the processor and number of usable cores."""
+    import os
+    import platform
+
+    name = platform.processor() or platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        lines = information.read_text().splitlines()
+        named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+        name = named[0] if named else name
+    return f"{name}, {os.cpu_count()} cores"

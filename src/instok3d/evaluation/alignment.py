@@ -1,0 +1,111 @@
+"""True target cameras in the world that a model made up from photos alone (method of Sec. 5).
+
+Photos fix a scene up to a rotation, a shift and a length, and an uncalibrated camera up to its
+focal length. To compare a render with a true photo, the true camera of that photo is brought into
+the predicted world, and the cameras of the *context* views alone say how:
+
+- the length is the ratio of the true to the predicted baselines of the context cameras, summed
+  over all pairs; no true depth is used;
+- the rotation is the mean over the context cameras, the shift brings the mean of their centres
+  together (`geometry.similarity.align_cameras`);
+- the focal length is the true one times the mean ratio of predicted to true focal lengths of the
+  context views.
+
+Where cameras were given to the model all this is the identity.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid
+from instok3d.geometry.registration import rigid_from_twist
+from instok3d.geometry.similarity import align_cameras
+from instok3d.render import render
+from instok3d.types import Cameras, Gaussians
+
+BASELINE_MIN = 1e-3
+"""Shorter baselines, in either world, count as this long: then they say nothing of the scale."""
+
+
+def baseline_scale(
+    predicted_cam_from_world: Float[Tensor, "view 4 4"],
+    true_cam_from_world: Float[Tensor, "view 4 4"],
+) -> float:
+    """True length of one predicted unit: true over predicted baselines, summed over all pairs.
+
+    The sum lets long baselines count for more, which are the well measured ones.
+    """
+    predicted, true = (
+        torch.pdist(invert_rigid(cameras.double())[:, :3, 3]).sum().clamp_min(BASELINE_MIN)
+        for cameras in (predicted_cam_from_world, true_cam_from_world)
+    )
+    return float(true / predicted)
+
+
+def cameras_in_prediction(
+    true_target: Cameras, *, predicted_context: Cameras, true_context: Cameras, scale: float
+) -> Cameras:
+    """The target cameras, expressed in the predicted world and with its focal lengths.
+
+    Args:
+        true_target: Target cameras in the true world; no batch axis.
+        predicted_context: The context cameras that were predicted.
+        true_context: The same cameras, true, in the world of the target cameras.
+        scale: True length of one predicted unit.
+    """
+    predicted_from_true = align_cameras(
+        predicted_context.cam_from_world.double(),
+        true_context.cam_from_world.double(),
+        scale=scale,
+    )
+    cam_from_true = true_target.cam_from_world.double()
+    cam_from_true[:, :3, 3] /= scale
+    intrinsics = true_target.intrinsics.clone()
+    for axis in (0, 1):
+        predicted = predicted_context.intrinsics[:, axis, axis]
+        true = true_context.intrinsics[:, axis, axis]
+        intrinsics[:, axis, axis] *= (predicted / true).mean()
+    return Cameras(
+        (cam_from_true @ invert_rigid(predicted_from_true)).to(intrinsics.dtype), intrinsics
+    )
+
+
+def refined_cameras(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    photos: Float[Tensor, "view 3 height width"],
+    *,
+    steps: int,
+    learning_rate: float = 5e-3,
+) -> Cameras:
+    """Cameras moved until the renders look most like the photos: test-time pose alignment.
+
+    Adam on a rigid motion for each view against the L1 difference, the scene frozen. This shows
+    the evaluation the very photos that it is compared with, so figures made with it are marked.
+
+    Args:
+        gaussians: One scene.
+        cameras: Where to start; no batch axis.
+        photos: The true target photos.
+        steps: Steps of Adam; 0 gives the cameras back.
+        learning_rate: Of Adam, scene units and radians.
+    """
+    if steps == 0:
+        return cameras
+    twist = torch.zeros(len(photos), 6, requires_grad=True)
+    optimizer = torch.optim.Adam([twist], lr=learning_rate)
+    height, width = photos.shape[-2:]
+    with torch.enable_grad():
+        for _ in range(steps):
+            moved = rigid_from_twist(twist) @ cameras.cam_from_world
+            image = render(gaussians, replace(cameras, cam_from_world=moved), height, width).colors
+            loss = (image - photos).abs().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    return replace(
+        cameras, cam_from_world=rigid_from_twist(twist.detach()) @ cameras.cam_from_world
+    )

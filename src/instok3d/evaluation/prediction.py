@@ -1,0 +1,115 @@
+"""What a model makes of one sample: pictures and masks at the target cameras, and its geometry."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from instok3d.data.sample import Sample, photos_only
+from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction, refined_cameras
+from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
+from instok3d.geometry.similarity import depth_scale
+from instok3d.render import render
+from instok3d.types import Cameras, Gaussians, Geometry, TokenGroups, Views
+
+GeometryMode = Literal["predicted", "given"]
+"""'predicted': the model sees bare photos. 'given': it also sees true cameras and depth."""
+
+Model = Callable[[Views], TokenGroups]
+"""A Tokenizer, or whatever answers like one."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One scene, seen from the target cameras."""
+
+    images: Float[Tensor, "target 3 height width"]
+    masks: tuple[PredictedMasks, ...]
+    """For each target view."""
+    num_groups_used: int
+    """Groups that win at least one anchor (against each other and the void)."""
+    cameras: Cameras
+    """The target cameras in the predicted world, as they were rendered."""
+    geometry: Geometry
+    """Of the context views, batch of one."""
+    images_depth_scaled: Float[Tensor, "target 3 height width"] | None
+    """The targets rendered with the length fitted to true depth instead of baselines: a
+    diagnostic that says how much of an error is the length alone. None with given geometry."""
+
+
+@torch.no_grad()
+def predict(
+    model: Model,
+    sample: Sample,
+    mode: GeometryMode,
+    *,
+    pose_alignment_steps: int = 0,
+    alpha_min: float = 0.0,
+) -> Prediction:
+    """Run the model on the context views of a sample and render its scene at the targets.
+
+    Args:
+        model: Photos in, token groups out.
+        sample: A batch of one.
+        mode: What of the context views the model sees.
+        pose_alignment_steps: See `alignment.refined_cameras`; 0 leaves it out.
+        alpha_min: Pixels covered no more than this belong to no group.
+
+    Raises:
+        ValueError: The sample is no batch of one, or lacks true cameras or depth.
+    """
+    batch, _, _, height, width = sample.target.images.shape
+    if batch != 1:
+        raise ValueError(f"predict needs a sample of one scene, got {batch}")
+    context, target = _cameras(sample.context), _cameras(sample.target)
+    if sample.context.depths is None:
+        raise ValueError("context.depths is missing; an evaluation sample carries true depth")
+    groups = model(sample.context if mode == "given" else photos_only(sample.context))
+    gaussians, pi = _first(groups.gaussians), groups.assignment[0]
+    predicted = Cameras(
+        groups.geometry.cameras.cam_from_world[0], groups.geometry.cameras.intrinsics[0]
+    )
+
+    def place(scale: float) -> Cameras:
+        return cameras_in_prediction(
+            target, predicted_context=predicted, true_context=context, scale=scale
+        )
+
+    by_depth = None
+    if mode == "given":
+        cameras = target
+    else:
+        cameras = place(baseline_scale(predicted.cam_from_world, context.cam_from_world))
+        scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
+        by_depth = render(gaussians, place(scale), height, width).colors
+    cameras = refined_cameras(
+        gaussians, cameras, sample.target.images[0], steps=pose_alignment_steps
+    )
+    rendering = render(gaussians, cameras, height, width, anchor_features=pi[:, :-1].contiguous())
+    assert rendering.features is not None
+    winners = pi.argmax(dim=-1)
+    return Prediction(
+        images=rendering.colors,
+        masks=tuple(
+            predicted_masks(maps, alphas, alpha_min=alpha_min)
+            for maps, alphas in zip(rendering.features, rendering.alphas, strict=True)
+        ),
+        num_groups_used=len(winners[winners < pi.shape[-1] - 1].unique()),
+        cameras=cameras,
+        geometry=groups.geometry,
+        images_depth_scaled=by_depth,
+    )
+
+
+def _cameras(views: Views) -> Cameras:
+    """True cameras of a batch of one, without the batch axis."""
+    if views.cam_from_world is None or views.intrinsics is None:
+        raise ValueError("cameras are missing; an evaluation sample carries the true ones")
+    return Cameras(views.cam_from_world[0], views.intrinsics[0])
+
+
+def _first(gaussians: Gaussians) -> Gaussians:
+    return Gaussians(**{name: value[0] for name, value in vars(gaussians).items()})

@@ -1,0 +1,146 @@
+"""Reports as JSON, as a table for the terminal, and as rows for docs/results.md."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from instok3d.evaluation.figures import Figures
+from instok3d.evaluation.run import EvaluationReport
+
+KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
+"""Figures that a report states first, in this order."""
+
+_DECIMALS = {"psnr": 2, "rotation_deg": 2, "groups_used": 1}
+
+RESULTS_HEADER = (
+    "| protocol | geometry | model | rooms | targets | PSNR | SSIM | LPIPS | AP | AP50 | AP25 "
+    "| rotation (deg) | depth (rel) | groups | command | commit | seed | machine |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+)
+"""Head of the table that `results_rows` fills; it holds this project's own figures alone."""
+
+
+def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
+    """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
+
+    Args:
+        report: What was measured.
+        details: Adds the key `details`: settings, levels, baselines, further figures, seeds.
+    """
+    figures = report.figures
+    result: dict[str, Any] = {
+        "protocol": report.protocol,
+        "model": report.model,
+        "scenes": figures.scenes,
+        **{key: _rounded(getattr(figures, key)) for key in KEYS},
+    }
+    if details:
+        result["details"] = {
+            "settings": asdict(report.settings),
+            "lpips_trunk": report.lpips_trunk,
+            "figures": _all(figures),
+            "levels": {level: _all(each) for level, each in report.levels.items()},
+            "baselines": {name: _all(each) for name, each in report.baselines.items()},
+            "seeds": list(report.seeds),
+        }
+    return result
+
+
+def as_table(report: EvaluationReport) -> str:
+    """The report for a terminal: a row for the model, each level and each baseline, and notes."""
+    rows = [("", "rooms", *(key.replace("_", " ") for key in KEYS))]
+    named = {"all rooms": report.figures, **report.levels, **report.baselines}
+    for name, figures in named.items():
+        rows.append((name, str(figures.scenes), *_cells(figures)))
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) if not column else cell.rjust(width)
+                  for column, (cell, width) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    ]  # fmt: skip
+    head = f"{report.protocol}, geometry {report.settings.geometry}, model {report.model}"
+    return "\n".join([head, "", *lines, "", *notes(report)])
+
+
+def notes(report: EvaluationReport) -> list[str]:
+    """Sentences that belong to the figures: the rules of AP, and what is missing and why."""
+    ap = report.settings.ap
+    figures = report.figures
+    lines = [
+        f"AP: instances of at least {ap.min_instance_area} pixels, masks of at least "
+        f"{ap.min_predicted_area}, void pixels {ap.void}d, confidence = mean map, pooled over "
+        f"{figures.targets} target views; mean over rooms {_text(figures.ap_scene_mean)} / "
+        f"{_text(figures.ap50_scene_mean)} / {_text(figures.ap25_scene_mean)}; instances of at "
+        f"least 50 pixels {_text(figures.ap_large)} / {_text(figures.ap50_large)} / "
+        f"{_text(figures.ap25_large)} (AP / AP50 / AP25)."
+    ]
+    if report.lpips_trunk is None:
+        lines.append("LPIPS was not measured: no weights were given (--lpips).")
+    elif report.lpips_trunk != "vgg16":
+        lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
+    if report.settings.geometry == "predicted":
+        lines.append(
+            "Target cameras were brought into the predicted world by the context cameras alone; "
+            f"with the length from true depth instead, PSNR is {_text(figures.psnr_depth_scaled)}."
+            f" Baselines between context views: {_text(figures.direction_deg)} degrees off in "
+            f"direction, {_text(figures.length_rel)} in length. Depth without a scale: "
+            f"{_text(figures.depth_rel_unscaled)}."
+        )
+    else:
+        lines.append("Cameras and depth were given: their errors are not measured.")
+    if report.settings.pose_alignment_steps:
+        lines.append(
+            f"Target cameras were refined against the target photos by "
+            f"{report.settings.pose_alignment_steps} steps of pose alignment."
+        )
+    return lines
+
+
+def results_rows(
+    report: EvaluationReport, *, command: str, commit: str, seed: int | None, machine: str
+) -> str:
+    """Rows of docs/results.md under RESULTS_HEADER: the model, then the baselines.
+
+    Args:
+        report: What was measured.
+        command: The command line that measured it.
+        commit: Of the code.
+        seed: That the model was trained with; None where its card does not say.
+        machine: What it ran on.
+    """
+    named = {report.model: report.figures, **report.baselines}
+    return "\n".join(
+        "| "
+        + " | ".join(
+            [
+                report.protocol,
+                report.settings.geometry,
+                name,
+                str(figures.scenes),
+                str(figures.targets),
+                *_cells(figures),
+                f"`{command}`",
+                commit,
+                "-" if seed is None else str(seed),
+                machine,
+            ]
+        )
+        + " |"
+        for name, figures in named.items()
+    )
+
+
+def _cells(figures: Figures) -> Sequence[str]:
+    return [_text(getattr(figures, key), _DECIMALS.get(key, 3)) for key in KEYS]
+
+
+def _text(value: float | None, decimals: int = 3) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"
+
+
+def _rounded(value: float | int | None) -> float | int | None:
+    return round(value, 6) if isinstance(value, float) else value
+
+
+def _all(figures: Figures) -> dict[str, float | int | None]:
+    return {name: _rounded(value) for name, value in asdict(figures).items()}

@@ -1,0 +1,160 @@
+"""Measure a model, and what needs no model, on the rooms of a protocol."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from instok3d.data.sample import Sample
+from instok3d.evaluation.figures import Figures, summarize
+from instok3d.evaluation.instance_ap import ApSettings
+from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, predict
+from instok3d.evaluation.protocols import LEVELS, ProtocolRoom
+from instok3d.evaluation.scores import RoomScore, ViewScore, score_geometry, score_views
+from instok3d.evaluation.simple_baselines import color_masks, nearest_contexts, warped_photos
+from instok3d.objectives.lpips import Lpips
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """How to measure."""
+
+    geometry: GeometryMode = "predicted"
+    """Whether the model sees bare photos, or true cameras and depth too."""
+    pose_alignment_steps: int = 0
+    """Steps of test-time pose alignment against the target photo; 0 = none."""
+    ap: ApSettings = field(default_factory=lambda: ApSettings(min_instance_area=20))
+    """What counts as an instance."""
+    alpha_min: float = 0.0
+    """Pixels covered no more than this belong to no predicted group."""
+    baselines: bool = False
+    """Also measure the simple baselines."""
+
+
+@dataclass(frozen=True)
+class EvaluationReport:
+    """What was measured and how."""
+
+    protocol: str
+    model: str
+    settings: EvaluationSettings
+    lpips_trunk: str | None
+    """Network of LPIPS, None where it was not measured."""
+    figures: Figures
+    levels: dict[str, Figures]
+    """easy, medium and hard rooms alone."""
+    baselines: dict[str, Figures]
+    seeds: tuple[int, ...]
+
+
+def evaluate(
+    model: Model,
+    rooms: Iterable[ProtocolRoom],
+    settings: EvaluationSettings = EvaluationSettings(),
+    *,
+    protocol: str,
+    model_name: str,
+    lpips: Lpips | None = None,
+    on_room: Callable[[ProtocolRoom, Sequence[Prediction]], None] | None = None,
+) -> EvaluationReport:
+    """Measure a model on the rooms of a protocol.
+
+    Args:
+        model: Photos in, token groups out; in eval mode.
+        rooms: See `protocols.protocol_rooms`.
+        settings: How to measure.
+        protocol: Name for the report.
+        model_name: Name for the report, best with the hash of the weights.
+        lpips: With weights; None leaves LPIPS out.
+        on_room: Called after each room with its predictions, for progress and pictures.
+
+    Raises:
+        ValueError: There is no room.
+    """
+    scores: list[RoomScore] = []
+    baselines: dict[str, list[RoomScore]] = {}
+    for room in rooms:
+        predictions = [_predict(model, sample, settings) for sample in room.samples]
+        scores.append(_score_model(room, predictions, settings, lpips))
+        if settings.baselines:
+            for name, score in _score_baselines(room, predictions, settings, lpips).items():
+                baselines.setdefault(name, []).append(score)
+        if on_room is not None:
+            on_room(room, predictions)
+    if not scores:
+        raise ValueError("evaluate needs at least one room, got none")
+    levels = [level for level in LEVELS if any(score.level == level for score in scores)]
+    return EvaluationReport(
+        protocol=protocol,
+        model=model_name,
+        settings=settings,
+        lpips_trunk=None if lpips is None else lpips.trunk,
+        figures=summarize(scores),
+        levels={level: summarize([s for s in scores if s.level == level]) for level in levels},
+        baselines={name: summarize(each) for name, each in baselines.items()},
+        seeds=tuple(score.seed for score in scores),
+    )
+
+
+def _predict(model: Model, sample: Sample, settings: EvaluationSettings) -> Prediction:
+    return predict(
+        model,
+        sample,
+        settings.geometry,
+        pose_alignment_steps=settings.pose_alignment_steps,
+        alpha_min=settings.alpha_min,
+    )
+
+
+def _score_model(
+    room: ProtocolRoom,
+    predictions: Sequence[Prediction],
+    settings: EvaluationSettings,
+    lpips: Lpips | None,
+) -> RoomScore:
+    pairs = list(zip(room.samples, predictions, strict=True))
+    views = [
+        score_views(
+            sample,
+            prediction.images,
+            prediction.masks,
+            settings.ap,
+            lpips=lpips,
+            images_depth_scaled=prediction.images_depth_scaled,
+        )
+        for sample, prediction in pairs
+    ]
+    geometry = ()
+    if settings.geometry == "predicted":
+        geometry = tuple(score_geometry(sample, each.geometry) for sample, each in pairs)
+    return RoomScore(
+        seed=room.seed,
+        level=room.level,
+        views=tuple(view for sample_views in views for view in sample_views),
+        geometry=geometry,
+        groups_used=tuple(prediction.num_groups_used for prediction in predictions),
+    )
+
+
+def _score_baselines(
+    room: ProtocolRoom,
+    predictions: Sequence[Prediction],
+    settings: EvaluationSettings,
+    lpips: Lpips | None,
+) -> dict[str, RoomScore]:
+    views: dict[str, list[ViewScore]] = {}
+    for sample, prediction in zip(room.samples, predictions, strict=True):
+        nearest = sample.context.images[0, nearest_contexts(sample)]
+        warped = warped_photos(sample, prediction.geometry, prediction.cameras)
+        for name, images in (
+            ("nearest context photo", nearest),
+            ("context photo warped by depth", warped),
+        ):
+            scores = score_views(sample, images, None, settings.ap, lpips=lpips)
+            views.setdefault(name, []).extend(scores)
+        for name, images in (
+            ("colour clusters of the target photo", sample.target.images[0]),
+            ("colour clusters of the render", prediction.images),
+        ):
+            masks = [color_masks(image.clamp(0, 1)) for image in images]
+            scores = score_views(sample, None, masks, settings.ap)
+            views.setdefault(name, []).extend(scores)
+    return {name: RoomScore(room.seed, room.level, tuple(each)) for name, each in views.items()}

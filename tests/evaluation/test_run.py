@@ -1,0 +1,152 @@
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from flat_rooms import FlatRooms, oracle
+from PIL import Image
+
+from instok3d.evaluation.figures import summarize
+from instok3d.evaluation.prediction import predict
+from instok3d.evaluation.protocols import protocol_rooms
+from instok3d.evaluation.report import KEYS, RESULTS_HEADER, as_json, as_table, results_rows
+from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evaluate
+from instok3d.evaluation.scores import GeometryScore, RoomScore, ViewScore
+from instok3d.evaluation.sheet import recolored, write_sheet
+from instok3d.types import TokenGroups, Views
+
+SEEDS = [2_000_000, 2_000_001]
+
+
+def knowing_model(rooms: FlatRooms, *, targets: int):
+    """Answers each sample with its truth, found by its photos."""
+    (room,) = protocol_rooms(rooms, [0], "rooms-2view", targets_per_scene=targets)
+
+    def model(views: Views) -> TokenGroups:
+        (match,) = [s for s in room.samples if torch.equal(s.context.images, views.images)]
+        return oracle(match, unit=1.3)(views)
+
+    return model
+
+
+@pytest.fixture(scope="module")
+def report() -> EvaluationReport:
+    rooms = FlatRooms(SEEDS, ["hard", "easy"])
+    return evaluate(
+        knowing_model(rooms, targets=2),
+        protocol_rooms(rooms, [0, 1], "rooms-2view", targets_per_scene=2),
+        EvaluationSettings(baselines=True),
+        protocol="rooms-2view",
+        model_name="oracle",
+    )
+
+
+def test_a_model_that_knows_the_truth_measures_so(report):
+    figures = report.figures
+    assert (figures.scenes, figures.targets) == (2, 4)
+    assert figures.psnr > 24
+    assert (figures.ap50, figures.ap25, figures.ap50_scene_mean) == (1.0, 1.0, 1.0)
+    assert figures.ap > 0.6
+    assert figures.rotation_deg < 0.01
+    assert figures.direction_deg < 0.1
+    assert figures.length_rel < 1e-3
+    assert figures.depth_rel < 1e-5
+    # Without the scale every depth is d / 1.3: an error of 1 - 1 / 1.3.
+    assert figures.depth_rel_unscaled == pytest.approx(1 - 1 / 1.3, abs=1e-5)
+    assert figures.groups_used == 3
+    assert figures.instances_per_view == 3
+    assert figures.lpips is None
+    assert list(report.levels) == ["easy", "hard"]
+    assert report.levels["hard"].targets == 2
+    assert report.seeds == tuple(SEEDS)
+
+
+def test_baselines_have_pictures_or_masks_and_no_geometry(report):
+    photo = report.baselines["nearest context photo"]
+    clusters = report.baselines["colour clusters of the target photo"]
+    assert photo.psnr > 10
+    assert photo.ap is photo.rotation_deg is photo.groups_used is None
+    assert clusters.psnr is None
+    assert 0 < clusters.ap50 <= 1
+    assert report.baselines["context photo warped by depth"].psnr > photo.psnr
+
+
+def test_given_geometry_is_not_measured_against_itself():
+    rooms = FlatRooms(SEEDS, ["easy", "easy"])
+    (room,) = protocol_rooms(rooms, [0], "rooms-8view")
+    report = evaluate(
+        oracle(room.samples[0], stride=3),
+        [room],
+        EvaluationSettings(geometry="given"),
+        protocol="rooms-8view",
+        model_name="oracle",
+    )
+    assert report.figures.targets == 7
+    assert report.figures.ap50 == 1.0
+    assert report.figures.rotation_deg is report.figures.depth_rel is None
+    assert "not measured" in as_table(report)
+
+
+def test_no_room_is_an_error():
+    rooms = FlatRooms(SEEDS, ["easy", "easy"])
+    with pytest.raises(ValueError, match="at least one room"):
+        evaluate(knowing_model(rooms, targets=1), [], protocol="rooms-2view", model_name="none")
+
+
+def test_json_has_the_agreed_keys_and_null_for_what_is_missing(report):
+    plain = as_json(report)
+    assert list(plain) == ["protocol", "model", "scenes", *KEYS]
+    assert plain["lpips"] is None
+    assert plain["scenes"] == 2
+    whole = as_json(report, details=True)
+    assert set(whole) - set(plain) == {"details"}
+    text = json.dumps(whole, allow_nan=False)
+    assert json.loads(text)["details"]["levels"]["easy"]["targets"] == 2
+
+
+def test_table_and_rows_name_every_method(report):
+    table = as_table(report)
+    rows = results_rows(
+        report, command="instok3d evaluate rooms-2view", commit="abc", seed=3, machine="two cores"
+    )
+    for name in ("easy", "hard", "nearest context photo"):
+        assert name in table
+    assert "LPIPS was not measured" in table
+    lines = rows.splitlines()
+    assert len(lines) == 1 + len(report.baselines)
+    columns = RESULTS_HEADER.splitlines()[0].count("|")
+    assert all(line.count("|") == columns for line in lines)
+
+
+def test_figures_of_scores_by_hand():
+    # Cameras: rooms have medians 2 (of 1, 2, 9) and 4: their median is 3. Depth: means .2 and .4.
+    def geometry(rotation: float, depth: float) -> GeometryScore:
+        return GeometryScore(rotation, math.nan, 0.0, depth, 0.0)
+
+    first = RoomScore(
+        1, "easy", (ViewScore(psnr=20.0), ViewScore(psnr=30.0)),
+        tuple(geometry(r, d) for r, d in ((1.0, 0.1), (2.0, 0.2), (9.0, 0.3))), (4, 6, 8),
+    )  # fmt: skip
+    second = RoomScore(2, "hard", (ViewScore(psnr=10.0),), (geometry(4.0, 0.4),), (2,))
+    figures = summarize([first, second])
+    assert figures.psnr == pytest.approx(20.0)
+    assert figures.rotation_deg == pytest.approx(3.0)
+    assert figures.depth_rel == pytest.approx(0.3)
+    assert figures.groups_used == pytest.approx(5.0)
+    assert figures.direction_deg is figures.ap is figures.ssim is figures.masks_per_view is None
+
+
+def test_predicted_masks_take_the_colour_of_what_they_cover():
+    true = np.array([[1, 1, 1, 2, 2, 0]])
+    predicted = np.array([[5, 5, 3, 4, 4, -1]])
+    # 5 covers instance 1, 4 covers 2; 3 also covers 1, which is taken by the larger mask: new.
+    assert recolored(predicted, true).tolist() == [[1, 1, 3, 2, 2, 0]]
+
+
+def test_a_sheet_has_a_row_for_contexts_and_one_for_each_target(tmp_path, flat_sample):
+    prediction = predict(oracle(flat_sample), flat_sample, "given")
+    write_sheet(tmp_path / "sheet.png", flat_sample, prediction, zoom=2)
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.size == (2 * (4 * 36 + 4), 2 * (2 * 36 + 4))
+    assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
