@@ -199,8 +199,8 @@ def _remarks(photos: Sequence[DecodedPhoto]) -> list[str]:
     small = [m for m in maps if max(m.scale_x, m.scale_y) > 1.0]
     if small:
         remarks.append(
-            f"{len(small)} of {len(photos)} photos have fewer pixels than the model's image of {small[0].width} x "
-            f"{small[0].height} and were enlarged"
+            f"{len(small)} of {len(photos)} photos have fewer pixels than the model's image of "
+            f"{small[0].width} x {small[0].height} and were enlarged"
         )
     return remarks
 
