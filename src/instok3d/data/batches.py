@@ -21,27 +21,27 @@ class SceneFrames(Protocol):
     """All frames of one scene with the truth about them, as `RoomScene` holds it."""
 
     @property
-    def images(self) -> np.ndarray:
+    def images(self) -> np.ndarray | torch.Tensor:
         """[frame, height, width, 3] uint8."""
         ...
 
     @property
-    def instances(self) -> np.ndarray:
+    def instances(self) -> np.ndarray | torch.Tensor:
         """[frame, height, width], 0 = no instance."""
         ...
 
     @property
-    def depths_m(self) -> np.ndarray:
+    def depths_m(self) -> np.ndarray | torch.Tensor:
         """[frame, height, width]."""
         ...
 
     @property
-    def world_from_cam(self) -> np.ndarray:
+    def world_from_cam(self) -> np.ndarray | torch.Tensor:
         """[frame, 4, 4], metres."""
         ...
 
     @property
-    def intrinsics(self) -> np.ndarray:
+    def intrinsics(self) -> np.ndarray | torch.Tensor:
         """[frame, 3, 3], pixels."""
         ...
 
@@ -57,7 +57,7 @@ class SceneSource(Protocol):
 
     def __len__(self) -> int: ...
 
-    def scene(self, index: int) -> SceneFrames:
+    def scene(self, index: int, /) -> SceneFrames:
         """All frames of one scene."""
         ...
 
@@ -158,7 +158,7 @@ def make_sample(
     """
     frames = list(choice.context + choice.target)
     num_context = len(choice.context)
-    images = torch.from_numpy(scene.images[frames]).permute(0, 3, 1, 2).float() / 255
+    images = torch.from_numpy(np.asarray(scene.images)[frames]).permute(0, 3, 1, 2).float() / 255
     context_images, target_images = images[:num_context], images[num_context:]
     if photometric_rng is not None:
         context_images, target_images = photometric_change(
