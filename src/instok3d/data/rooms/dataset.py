@@ -1,0 +1,97 @@
+"""Reading a folder of rooms, also while it is being written."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from safetensors import safe_open
+from torch import Tensor
+
+from instok3d.data.rooms.shards import read_index
+
+
+@dataclass(frozen=True)
+class RoomScene:
+    """One scene: 16 frames of one room, in metres, OpenCV cameras, z of the world up."""
+
+    images: UInt8[Tensor, "frame height width 3"]
+    """sRGB bytes."""
+    instances: Int[Tensor, "frame height width"]
+    """Instance ids as in meta["instances"][i]["id"]; 0 = none."""
+    depths_m: Float[Tensor, "frame height width"]
+    """z-depth, to the millimetre."""
+    world_from_cam: Float[Tensor, "frame 4 4"]
+    intrinsics: Float[Tensor, "frame 3 3"]
+    meta: dict[str, Any]
+    """seed, level, room_type, and instances: id, class, color, material, size_m, parent, stuff,
+    aabb_m, pixels (one count a frame)."""
+
+    @property
+    def seed(self) -> int:
+        """What the scene was made from."""
+        return self.meta["seed"]
+
+    @property
+    def level(self) -> str:
+        """easy, medium or hard."""
+        return self.meta["level"]
+
+
+class RoomDataset:
+    """The finished scenes of a folder, ordered by seed. Files are mapped, not loaded."""
+
+    def __init__(self, folder: Path | str, seeds: range | None = None):
+        """Keep the scenes whose seed is in `seeds`; None keeps all."""
+        self.folder, self.seeds = Path(folder), seeds
+        self._open: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take up shards that were finished since the index was last read."""
+        index = read_index(self.folder)
+        self.resolution: int = index["resolution"]
+        found = [
+            (seed, name, row)
+            for name, record in index["shards"].items()
+            for row, seed in enumerate(record["seeds"])
+            if self.seeds is None or seed in self.seeds
+        ]
+        self._scenes = sorted(found)
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_open": {}}  # open files do not go to other processes
+
+    def seed_of(self, number: int) -> int:
+        """The seed of scene `number`, without reading it."""
+        return self._scenes[number][0]
+
+    def scene(self, number: int) -> RoomScene:
+        """Scene `number`; one copy out of the mapped file.
+
+        Raises:
+            IndexError: There is no such scene.
+        """
+        _, name, row = self._scenes[number]
+        if name not in self._open:
+            # One file stays open for each shard: a few hundred at most.
+            shard = safe_open(self.folder / name, framework="pt")
+            self._open[name] = shard, json.loads(shard.metadata()["scenes"])
+        shard, metas = self._open[name]
+
+        def read(key: str) -> Tensor:
+            return shard.get_slice(key)[row]
+
+        return RoomScene(
+            read("images"),
+            read("instances").to(torch.int64),
+            read("depths_mm").to(torch.float32) / 1000,
+            read("world_from_cam"),
+            read("intrinsics"),
+            metas[row],
+        )

@@ -1,0 +1,47 @@
+"""From radiance to 8-bit pictures: tone curve, and what a cheap camera adds."""
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+Picture = UInt8[np.ndarray, "height width 3"]
+
+
+def developed(radiance: Float[np.ndarray, "height width 3"], exposure: float) -> Picture:
+    """SRGB bytes through a shoulder that keeps highlights."""
+    x = radiance * np.float32(exposure)
+    x = np.clip(1.25 * x * (1 + x / 9) / (1 + x), 0, 1) ** np.float32(1 / 2.2)
+    return (x * 255 + 0.5).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera's faults, the same for all frames of a scene."""
+
+    blur_px: float
+    """Standard deviation of the blur at 128 pixels of height."""
+    noise: float
+    """Standard deviation of the noise, of full scale."""
+    quality: int
+    """JPEG."""
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> "Sensor":
+        """Some camera."""
+        blur, noise = float(rng.uniform(0.0, 0.6)), float(rng.uniform(0.002, 0.015))
+        return Sensor(blur, noise, int(rng.integers(70, 97)))
+
+    def apply(self, picture: Picture, rng: np.random.Generator) -> Picture:
+        """The picture as this camera takes it."""
+        sigma = self.blur_px * picture.shape[0] / 128
+        x = gaussian_filter(picture.astype(np.float32), (sigma, sigma, 0))
+        x += rng.standard_normal(x.shape, np.float32) * np.float32(255 * self.noise)
+        stream = io.BytesIO()
+        Image.fromarray(np.clip(x + 0.5, 0, 255).astype(np.uint8)).save(
+            stream, "JPEG", quality=self.quality
+        )
+        return np.array(Image.open(stream))
