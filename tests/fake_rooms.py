@@ -26,6 +26,9 @@ class FakeRooms:
     def __len__(self) -> int:
         return len(self.seeds)
 
+    def seed_of(self, number: int) -> int:
+        return self.seeds[number]
+
     def scene(self, index: int) -> FakeScene:
         return fake_scene(self.seeds[index], self.size)
 

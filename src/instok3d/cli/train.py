@@ -57,10 +57,12 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         ValueError: A new tokenizer run has no backbone to start from.
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
-    is_geometry = isinstance(config.stage, GeometryStageConfig)
-    stage = GeometryStage(config.stage) if is_geometry else TokenizerStage(config.stage)
-    if not (is_geometry or arguments.resume or arguments.init_from):
-        raise ValueError("a tokenizer run needs --init-from RUN with a trained backbone")
+    if isinstance(config.stage, GeometryStageConfig):
+        stage = GeometryStage(config.stage)
+    else:
+        stage = TokenizerStage(config.stage)
+        if not (arguments.resume or arguments.init_from):
+            raise ValueError("a tokenizer run needs --init-from RUN with a trained backbone")
     outcome = train(
         config,
         stage,

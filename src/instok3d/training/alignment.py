@@ -1,49 +1,59 @@
-"""True cameras in the world of a predicted geometry, so that what was built there can be judged."""
+"""True cameras in the worlds of predicted geometries, by the rule of the evaluation, in batches."""
+
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction
 from instok3d.geometry.cameras import invert_rigid
-from instok3d.geometry.similarity import align_cameras, depth_scale
+from instok3d.geometry.similarity import depth_scale
 from instok3d.types import Cameras, Geometry, Views
 
-SPREAD_MIN_M = 0.02
-"""Context cameras closer together than this say nothing of the scale."""
+SHORTEST_BASELINE = 0.02
+"""Scene units, true or predicted: context cameras closer together say nothing of the scale."""
 
 
 @torch.no_grad()
-def cameras_in_prediction(geometry: Geometry, context: Views, target: Views) -> Cameras:
-    """The true target cameras as seen from the predicted world, with the true intrinsics.
-
-    Scale: the ratio of true to predicted spread of the context cameras, or of depths where the
-    cameras stand together. Rotation and translation: errors spread evenly over the contexts.
+def target_cameras_in_prediction(
+    geometry: Geometry, context: Views, target: Views, scale_from: Literal["baselines", "depths"]
+) -> Cameras:
+    """The target cameras of each scene, in its predicted world and with its focal lengths.
 
     Args:
         geometry: Predicted from the context views.
         context: Those views with true cameras and depths.
         target: Views with true cameras in the same world.
+        scale_from: What fixes the length of a predicted unit: baselines as in the evaluation
+            (depths where the cameras stand together), or always the true depths.
     """
-    assert context.cam_from_world is not None
+    true_context, true_target = _cameras(context), _cameras(target)
     assert context.depths is not None
-    assert target.cam_from_world is not None
-    assert target.intrinsics is not None
-    cameras = []
+    cam_from_world, intrinsics = [], []
     for scene in range(len(context.images)):
         predicted = geometry.cameras.cam_from_world[scene].float()
-        true = context.cam_from_world[scene]
-        true_spread, predicted_spread = _spread(true), _spread(predicted)
-        if true_spread > SPREAD_MIN_M and predicted_spread > 1e-3:
-            scale = true_spread / predicted_spread
+        true = true_context.cam_from_world[scene]
+        if scale_from == "baselines" and min(map(_path, (predicted, true))) > SHORTEST_BASELINE:
+            scale = baseline_scale(predicted, true)
         else:
-            scale = depth_scale(geometry.depths[scene].float(), context.depths[scene])
-        predicted_from_true = align_cameras(predicted, true, scale=scale)
-        moved = target.cam_from_world[scene].clone()
-        moved[:, :3, 3] = moved[:, :3, 3] / scale
-        cameras.append(moved @ invert_rigid(predicted_from_true))
-    return Cameras(torch.stack(cameras), target.intrinsics)
+            scale = float(depth_scale(geometry.depths[scene].float(), context.depths[scene]))
+        cameras = cameras_in_prediction(
+            Cameras(true_target.cam_from_world[scene], true_target.intrinsics[scene]),
+            predicted_context=Cameras(predicted, geometry.cameras.intrinsics[scene].float()),
+            true_context=Cameras(true, true_context.intrinsics[scene]),
+            scale=scale,
+        )
+        cam_from_world.append(cameras.cam_from_world)
+        intrinsics.append(cameras.intrinsics)
+    return Cameras(torch.stack(cam_from_world), torch.stack(intrinsics))
 
 
-def _spread(cam_from_world: Float[Tensor, "view 4 4"]) -> Float[Tensor, ""]:
-    centers = invert_rigid(cam_from_world)[:, :3, 3]
-    return (centers - centers.mean(0)).norm(dim=-1).mean()
+def _cameras(views: Views) -> Cameras:
+    assert views.cam_from_world is not None
+    assert views.intrinsics is not None
+    return Cameras(views.cam_from_world, views.intrinsics)
+
+
+def _path(cam_from_world: Float[Tensor, "view 4 4"]) -> float:
+    return float(torch.pdist(invert_rigid(cam_from_world)[:, :3, 3]).sum())

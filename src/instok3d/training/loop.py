@@ -35,9 +35,8 @@ from instok3d.training.stages import Stage, StepLoss
 class SeededSource(SceneSource, Protocol):
     """A data set that knows the seed of each of its scenes without reading it."""
 
-    @property
-    def seeds(self) -> "tuple[int, ...] | list[int]":
-        """Seeds by scene number."""
+    def seed_of(self, number: int, /) -> int:
+        """What scene `number` was made from."""
         ...
 
 
@@ -92,7 +91,7 @@ def train(
     elif (folder / "checkpoints").exists():
         raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
     else:
-        state.scene_seeds = list(source.seeds)
+        state.scene_seeds = [source.seed_of(number) for number in range(len(source))]
         if init_from is not None:
             stage.load_initial(state.model, read_weights(init_from))
             state.average = WeightAverage(state.model, config.ema_decay)
@@ -288,7 +287,7 @@ def split_scenes(
         raise ValueError(
             f"the data set has {len(seeds)} scenes and {holdout} are held out: make more rooms"
         )
-    place = {seed: index for index, seed in enumerate(source.seeds)}
+    place = {source.seed_of(number): number for number in range(len(source))}
     missing = [seed for seed in seeds if seed not in place]
     if missing:
         raise ValueError(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -24,7 +25,7 @@ from instok3d.objectives.lpips import load_lpips
 from instok3d.objectives.rendering import rendering_loss
 from instok3d.objectives.segmentation import segmentation_loss
 from instok3d.render import render
-from instok3d.training.alignment import cameras_in_prediction
+from instok3d.training.alignment import target_cameras_in_prediction
 from instok3d.training.pictures import color_picture, contact_sheet, id_picture
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages import StepLoss
@@ -44,6 +45,8 @@ class TokenizerStageConfig:
     always predicts; one set of weights is to serve RGB-D cameras too."""
     intrinsics_probability: float = 0.5
     """Of the steps with photos alone, the share in which the intrinsics are known."""
+    scale_from: Literal["baselines", "depths"] = "baselines"
+    """How the true target cameras find their length in the predicted world."""
     seg_weight: float = 0.1
     """lambda_seg, the weight of the grouping loss (Eq. 6)."""
     seg_warmup_steps: int = 1500
@@ -175,7 +178,9 @@ class TokenizerStage:
             if given:
                 cameras = Cameras(target.cam_from_world, target.intrinsics)
             else:
-                cameras = cameras_in_prediction(geometry, sample.context, target)
+                cameras = target_cameras_in_prediction(
+                    geometry, sample.context, target, self.config.scale_from
+                )
             rendering = render(
                 groups.gaussians,
                 cameras,
