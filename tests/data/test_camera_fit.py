@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from instok3d.data.camera_files import PhotoCamera
-from instok3d.data.camera_fit import check_distortion, fit_camera, same_shape
+from instok3d.data.camera_fit import check_distance, check_distortion, fit_camera, same_shape
 from instok3d.data.pixel_map import fit_pixels, upright_from_stored
 from instok3d.geometry.cameras import project, transform_points
 
@@ -85,3 +85,18 @@ def test_small_distortion_is_told_and_large_is_refused():
     assert "lens distortion is ignored" in notes[0]
     with pytest.raises(ValueError, match="undistort the photos first"):
         check_distortion([camera(60, 80, distortion=(-0.9, 0.0, 0.0, 0.0))], notes)
+
+
+def _standing_at(x: float) -> PhotoCamera:
+    placed = camera(60, 80)
+    placed.cam_from_world[:3, 3] = torch.tensor([-x, 0, 0])
+    return placed
+
+
+def test_a_world_whose_origin_is_far_away_is_refused():
+    # Two metres apart, 500 km (a map's grid) from the origin: a step there is 6 cm.
+    check_distance([_standing_at(0.0), _standing_at(2.0)])
+    check_distance([_standing_at(1000.0), _standing_at(1002.0)])
+    check_distance([_standing_at(500_000.0)])
+    with pytest.raises(ValueError, match=r"stand 5e\+05 units .* move the origin"):
+        check_distance([_standing_at(500_000.0), _standing_at(500_002.0)])

@@ -223,6 +223,7 @@ def _noise_jpeg() -> bytes:
         ("cut.jpg", _noise_jpeg()[:2000], r"cut\.jpg is damaged or cut off .* copy it again"),
         ("text.png", b"just a few words", r"text\.png is not a picture in a known format"),
         ("empty.jpg", b"", r"empty\.jpg is empty \(0 bytes\)"),
+        ("film.jpg", b"\0\0\0\x20ftypisom\0\0\2\0isomiso2avc1mp41", "not a picture in a known"),
         ("page.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "not a picture"),
         ("head.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "not a picture|damaged|broken header"),
     ],

@@ -274,8 +274,10 @@ def _checked(camera: PhotoCamera, source: Path) -> PhotoCamera:
     matrix, name = camera.intrinsics, camera.name
     if not matrix.isfinite().all() or min(float(matrix[0, 0]), float(matrix[1, 1])) <= 0:
         raise ValueError(f"{source}: the focal length of {name} must be finite and above 0")
-    if min(camera.height, camera.width) < 1:
-        raise ValueError(f"{source}: the image of {name} has no pixels")
+    if min(camera.height, camera.width) < 1 or max(camera.height, camera.width) > 10**6:
+        raise ValueError(
+            f"{source}: the image of {name} cannot have {camera.width} x {camera.height} pixels"
+        )
     if not (0 <= matrix[0, 2] <= camera.width and 0 <= matrix[1, 2] <= camera.height):
         raise ValueError(
             f"{source}: the principal point of {name} lies outside its {camera.width} x "

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from instok3d.data.camera_files import PhotoCamera
 from instok3d.data.pixel_map import PixelMap, upright_from_stored
+from instok3d.geometry.cameras import invert_rigid
 
 MAX_DISTORTION = 0.05
 """Of the image diagonal, at the outermost corner: more lens distortion is refused."""
@@ -106,6 +107,24 @@ def check_distortion(cameras: Sequence[PhotoCamera], notes: list[str]) -> None:
         notes.append(
             f"lens distortion is ignored: it moves the corners by up to {shift:.1%} of the image "
             "diagonal"
+        )
+
+
+def check_distance(cameras: Sequence[PhotoCamera]) -> None:
+    """Refuse worlds whose origin is so far away that single precision blurs the cameras.
+
+    Raises:
+        ValueError: One step of a 32-bit number is over a thousandth of the cameras' spread.
+    """
+    cam_from_world = torch.stack([camera.cam_from_world for camera in cameras])
+    centers = invert_rigid(cam_from_world)[:, :3, 3]
+    away = float(centers.norm(dim=1).max())
+    spread = float((centers - centers.mean(dim=0)).norm(dim=1).max())
+    step = away * torch.finfo(torch.float32).eps
+    if step > 1e-3 * spread > 0:
+        raise ValueError(
+            f"the cameras stand {away:.3g} units from the origin of their world but only "
+            f"{spread:.3g} apart; move the origin of the camera file to the scene"
         )
 
 

@@ -35,6 +35,8 @@ def read_depth(
         values = _read_array(path) if path.suffix == ".npy" else _read_picture(path, max_pixels)
     except UnidentifiedImageError as error:
         raise ValueError(f"{path} is not a depth picture in a known format") from error
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"{path} is too large to decode ({error})") from error
     except (OSError, SyntaxError, EOFError) as error:
         raise ValueError(f"{path} is damaged or cut off ({error})") from error
     if values.ndim != 2 or values.dtype.kind not in "uif":

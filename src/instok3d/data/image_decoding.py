@@ -8,6 +8,7 @@ import hashlib
 import io
 import math
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,7 +28,12 @@ MAX_PIXELS = 64_000_000
 """Photos with more are refused before they are decoded: a phone's largest have 50 million."""
 LETTERBOX_GREY = 0.5
 DIAGONAL_35MM = math.hypot(36.0, 24.0)
-_BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, struct.error)
+_BROKEN = (
+    *(OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, RuntimeError),
+    *(ArithmeticError, struct.error, zlib.error),
+)
+"""What Pillow's decoders raise for damaged files."""
+_HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1")
 _TRANSPOSE = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -91,8 +97,9 @@ def decode_photo(
             image.load()  # which turns it upright and drops the tag
     stored_width, stored_height = image.size
     orientation, focal = _read_exif(path, image, notes)
-    if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
-        notes.append(f"{path.name} holds several pictures; only the first one is used")
+    with _naming(path):
+        if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
+            notes.append(f"{path.name} holds several pictures; only the first one is used")
     turned = orientation >= 5
     pixel_map = fit_pixels(
         stored_width if turned else stored_height,
@@ -144,7 +151,8 @@ def _read_bytes(path: Path, max_pixels: int) -> bytes:
 
 
 def _open(path: Path, data: bytes) -> Image.Image:
-    if data[4:8] == b"ftyp" and b"avif" not in data[8:32]:
+    brands = data[8:32] if data[4:8] == b"ftyp" else b""
+    if b"avif" not in brands and any(brand in brands for brand in _HEIC_BRANDS):
         _register_heif(path)
     Image.init()
     try:
@@ -185,7 +193,7 @@ def _read_exif(path: Path, image: Image.Image, notes: list[str]) -> tuple[int, f
     try:
         exif = image.getexif()
         orientation, details = exif.get(0x0112, 1), exif.get_ifd(0x8769)
-    except (*_BROKEN, KeyError) as error:
+    except _BROKEN as error:
         notes.append(f"the EXIF data of {path.name} is broken ({error}); taken as upright")
         return 1, None
     if orientation not in range(1, 9):

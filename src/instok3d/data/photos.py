@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.camera_files import CameraSet, PhotoCamera, read_cameras
-from instok3d.data.camera_fit import check_distortion, fit_camera, same_shape
+from instok3d.data.camera_fit import check_distance, check_distortion, fit_camera, same_shape
 from instok3d.data.depth_files import depth_at_model_pixels, read_depth
 from instok3d.data.image_decoding import MAX_PIXELS, DecodedPhoto, decode_photo, own_pixel_limit
 from instok3d.data.image_files import find_images as find_images
@@ -238,6 +238,7 @@ def _posed_views(
         for camera, photo, path in zip(cameras, photos, paths, strict=True)
     ]
     check_distortion(cameras, notes)
+    check_distance(cameras)
     depths = None
     if any(camera.depth_path is not None for camera in cameras):
         depths = torch.stack(
