@@ -93,4 +93,16 @@ def _gsplat() -> Finding:
 
 
 def _kernels() -> Finding:
-    return Finding("native kernels", "TODO", False)
+    from instok3d.render.native_backend import native_status
+
+    status = native_status()
+    if status.available:
+        best, *others = status.instruction_sets
+        also = f", also {', '.join(others)}" if others else ""
+        return Finding("native kernels", f"{best}{also}; threads by {status.threading}", True)
+    return Finding(
+        "native kernels",
+        f"missing, so that rendering takes some hundred times longer: {status.reason}; install "
+        "a C++ compiler and reinstall instok3d",
+        False,
+    )

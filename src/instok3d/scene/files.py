@@ -111,7 +111,7 @@ def load_scene(path: Path) -> Scene:
         )
     try:
         return _assemble(path, header)
-    except (KeyError, TypeError, IndexError) as error:
+    except (KeyError, TypeError, IndexError, OverflowError) as error:
         raise ValueError(
             f"{path} is damaged: {type(error).__name__} {error} in its JSON"
         ) from error
