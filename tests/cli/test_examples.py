@@ -1,0 +1,38 @@
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from instok3d.scene.ply import read_ply
+from made_model import made_model, made_photos
+from made_scene import made_scene, made_tokens
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def run(monkeypatch: pytest.MonkeyPatch, name: str, *arguments: Path) -> None:
+    monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+
+
+def test_reconstruct(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    model = made_model(tmp_path / "model.safetensors")
+    monkeypatch.setattr("instok3d.scene.reconstruct.DEFAULT_MODEL", model)
+    with pytest.warns(UserWarning, match="its results on real photos are poor"):
+        run(monkeypatch, "00_reconstruct.py", made_photos(tmp_path / "in"), tmp_path / "a.itk")
+    assert (tmp_path / "a.itk/scene.json").is_file()
+    assert "objects" in capsys.readouterr().out
+
+
+def test_render_and_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    made_scene(made_tokens()).save(tmp_path / "room.itk")
+    run(monkeypatch, "01_render.py", tmp_path / "room.itk", tmp_path / "between.png")
+    assert (tmp_path / "between.png").is_file()
+    run(monkeypatch, "02_export.py", tmp_path / "room.itk", tmp_path / "objects")
+    assert len(read_ply(tmp_path / "objects/003.ply").means) == 8
+    assert "object#3: 8 Gaussians" in capsys.readouterr().out
