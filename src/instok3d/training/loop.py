@@ -59,6 +59,7 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
+    new_scenes: bool = False,
     init_from: Path | None = None,
     time_limit_min: float | None = None,
 ) -> TrainOutcome:
@@ -73,6 +74,10 @@ def train(
         source: Scenes. The run uses those that are there when it starts, also after resuming.
         folder: The run.
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
+        add_rooms: On resuming, also use the scenes that the data set has gained since; the run is
+            then a new one from here on. The held-out scenes stay the same.
+        new_scenes: On resuming, also train on scenes that have come since; the held-out ones
+            stay.
         init_from: A run folder or .safetensors file to take first weights from.
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
@@ -86,12 +91,19 @@ def train(
     torch.manual_seed(config.seed)
     folder.mkdir(parents=True, exist_ok=True)
     state = new_state(config, stage)
+    all_seeds = [source.seed_of(number) for number in range(len(source))]
     if resume:
         restore(state, read_checkpoint(folder))
+        if add_rooms:
+            known = set(state.scene_seeds)
+            state.scene_seeds += [seed for seed in source.seeds if seed not in known]
+        if new_scenes:
+            known = set(state.scene_seeds)
+            state.scene_seeds += [seed for seed in all_seeds if seed not in known]
     elif (folder / "checkpoints").exists():
         raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
     else:
-        state.scene_seeds = [source.seed_of(number) for number in range(len(source))]
+        state.scene_seeds = all_seeds
         if init_from is not None:
             stage.load_initial(state.model, read_weights(init_from))
             state.average = WeightAverage(state.model, config.ema_decay)
