@@ -50,6 +50,16 @@ def test_resumed_run_equals_uninterrupted_run_bit_for_bit(tmp_path):
     assert read_checkpoint(tmp_path / "parts")["step"] == 6
 
 
+def test_new_scenes_join_on_request_behind_the_held_out_ones(tmp_path):
+    train(replace(TINY, steps=1), ToyStage(), FakeRooms(4, 16, first_seed=10), tmp_path)
+    more = FakeRooms(20, 16)
+    train(replace(TINY, steps=2), ToyStage(), more, tmp_path, resume=True)
+    assert read_checkpoint(tmp_path)["scene_seeds"] == [10, 11, 12, 13]
+    train(replace(TINY, steps=3), ToyStage(), more, tmp_path, resume=True, new_scenes=True)
+    assert read_checkpoint(tmp_path)["scene_seeds"][:5] == [10, 11, 12, 13, 0]
+    assert len(read_checkpoint(tmp_path)["scene_seeds"]) == 20
+
+
 def test_run_leaves_metrics_pictures_and_curves(tmp_path):
     train(replace(TINY, validate_every_steps=3), ToyStage(), ROOMS, tmp_path)
     lines = read_metrics(tmp_path / "metrics.jsonl")
