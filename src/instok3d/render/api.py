@@ -80,7 +80,9 @@ def render(
             height,
             width,
             anchor_features=anchor_features.to(dtype) if anchor_features is not None else None,
-            background=torch.as_tensor(background).detach().to(gaussians.means.device, dtype),
+            background=torch.as_tensor(
+                background, dtype=dtype, device=gaussians.means.device
+            ).detach(),
             near=near,
             far=far,
             settings=settings,

@@ -5,6 +5,7 @@ one that had rendered uses one thread, because a pool of threads does not surviv
 """
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -47,7 +48,9 @@ class NativeStatus:
 def native_status() -> NativeStatus:
     """Whether the C++ kernels were built and load, for reports."""
     if _rasterizer is None:
-        reason = f"the compiled module does not load ({_import_error})"
+        reason = "it was not built when instok3d was installed"
+        if find_spec("instok3d.render.native._rasterizer") is not None:
+            reason = f"it was built but does not load ({_import_error})"
         return NativeStatus(False, (), "", reason)
     return NativeStatus(True, tuple(_rasterizer.instruction_sets()), _rasterizer.threading(), "")
 
@@ -73,7 +76,7 @@ def render_native(
         ValueError: alpha_min is below 1e-6, or an anchor index has no row of features.
     """
     if _rasterizer is None:
-        raise RuntimeError(f"the native rasterizer is not built: {_import_error}")
+        raise RuntimeError(f"the native rasterizer is missing: {native_status().reason}")
     if settings.alpha_min < SMALLEST_ALPHA_MIN:
         raise ValueError(
             f"alpha_min is {settings.alpha_min}; the native rasterizer needs at least "
