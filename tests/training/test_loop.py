@@ -55,7 +55,7 @@ def test_new_scenes_join_on_request_behind_the_held_out_ones(tmp_path):
     more = FakeRooms(20, 16)
     train(replace(TINY, steps=2), ToyStage(), more, tmp_path, resume=True)
     assert read_checkpoint(tmp_path)["scene_seeds"] == [10, 11, 12, 13]
-    train(replace(TINY, steps=3), ToyStage(), more, tmp_path, resume=True, new_scenes=True)
+    train(replace(TINY, steps=3), ToyStage(), more, tmp_path, resume=True, add_rooms=True)
     assert read_checkpoint(tmp_path)["scene_seeds"][:5] == [10, 11, 12, 13, 0]
     assert len(read_checkpoint(tmp_path)["scene_seeds"]) == 20
 

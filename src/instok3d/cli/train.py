@@ -28,8 +28,6 @@ class RunArguments:
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
     them."""
-    new_scenes: bool = False
-    """With --resume: also train on rooms that were made since the run started."""
     add_rooms: bool = False
     """On resuming, also train on the rooms that the folder has gained since the run began."""
     init_from: Path | None = None
@@ -74,7 +72,6 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         arguments.output,
         resume=arguments.resume,
         add_rooms=arguments.add_rooms,
-        new_scenes=arguments.new_scenes,
         init_from=arguments.init_from,
         time_limit_min=arguments.time_limit_min,
     )

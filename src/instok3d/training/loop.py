@@ -59,7 +59,7 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
-    new_scenes: bool = False,
+    add_rooms: bool = False,
     init_from: Path | None = None,
     time_limit_min: float | None = None,
 ) -> TrainOutcome:
@@ -76,8 +76,6 @@ def train(
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
         add_rooms: On resuming, also use the scenes that the data set has gained since; the run is
             then a new one from here on. The held-out scenes stay the same.
-        new_scenes: On resuming, also train on scenes that have come since; the held-out ones
-            stay.
         init_from: A run folder or .safetensors file to take first weights from.
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
@@ -95,9 +93,6 @@ def train(
     if resume:
         restore(state, read_checkpoint(folder))
         if add_rooms:
-            known = set(state.scene_seeds)
-            state.scene_seeds += [seed for seed in source.seeds if seed not in known]
-        if new_scenes:
             known = set(state.scene_seeds)
             state.scene_seeds += [seed for seed in all_seeds if seed not in known]
     elif (folder / "checkpoints").exists():
