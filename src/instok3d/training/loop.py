@@ -74,8 +74,6 @@ def train(
         source: Scenes. The run uses those that are there when it starts, also after resuming.
         folder: The run.
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
-        add_rooms: On resuming, also use the scenes that the data set has gained since; the run is
-            then a new one from here on. The held-out scenes stay the same.
         init_from: A run folder or .safetensors file to take first weights from.
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
@@ -92,9 +90,6 @@ def train(
     all_seeds = [source.seed_of(number) for number in range(len(source))]
     if resume:
         restore(state, read_checkpoint(folder))
-        if add_rooms:
-            known = set(state.scene_seeds)
-            state.scene_seeds += [seed for seed in all_seeds if seed not in known]
     elif (folder / "checkpoints").exists():
         raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
     else:
