@@ -122,7 +122,7 @@ class RawGeometry:
     features: Float[Tensor, "batch view patch channel"]
     log_depths: Float[Tensor, "batch view height width"]
     log_confidences: Float[Tensor, "batch view height width"]
-    descriptors: Float[Tensor, "batch view cell channel"]
+    descriptors: Float[Tensor, "batch view cell match_channel"]
     """Unit length, one for each MATCH_STRIDE x MATCH_STRIDE cell, row-major."""
     log_focal: Float[Tensor, "batch view"]
     """Logarithm of predicted over typical focal length."""
