@@ -8,12 +8,14 @@ from flat_rooms import FlatRooms, oracle
 from PIL import Image
 
 from instok3d.evaluation.figures import summarize
+from instok3d.evaluation.instance_ap import ApSettings
 from instok3d.evaluation.prediction import predict
-from instok3d.evaluation.protocols import protocol_rooms
+from instok3d.evaluation.protocols import ProtocolRoom, protocol_rooms
 from instok3d.evaluation.report import KEYS, RESULTS_HEADER, as_json, as_table, results_rows
 from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evaluate
-from instok3d.evaluation.scores import GeometryScore, RoomScore, ViewScore
+from instok3d.evaluation.scores import GeometryScore, RoomScore, ViewScore, score_views
 from instok3d.evaluation.sheet import recolored, write_sheet
+from instok3d.objectives.lpips import Lpips
 from instok3d.types import TokenGroups, Views
 
 SEEDS = [2_000_000, 2_000_001]
@@ -150,3 +152,18 @@ def test_a_sheet_has_a_row_for_contexts_and_one_for_each_target(tmp_path, flat_s
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.size == (2 * (4 * 36 + 4), 2 * (2 * 36 + 4))
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
+
+
+def test_lpips_is_measured_where_weights_are_and_its_network_is_named(flat_sample):
+    torch.manual_seed(0)
+    distance = Lpips("alexnet")
+    room = ProtocolRoom(seed=1, level="easy", samples=(flat_sample,))
+    report = evaluate(
+        oracle(flat_sample), [room], protocol="rooms-2view", model_name="oracle", lpips=distance
+    )
+    assert report.figures.lpips is not None
+    assert report.figures.lpips > 0
+    assert "LPIPS is by alexnet" in as_table(report)
+    photos = flat_sample.target.images[0]
+    (score,) = score_views(flat_sample, photos, None, ApSettings(), lpips=distance)
+    assert score.lpips == 0

@@ -1,0 +1,92 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from flat_rooms import flat_room
+
+from instok3d.cli import main
+from instok3d.data.rooms.scene import RenderedScene
+from instok3d.data.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
+from instok3d.evaluation.report import KEYS
+from instok3d.files import write_json
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+from instok3d.model.files import save_model
+from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+
+SEED = 2_000_000
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two test rooms, one rejected seed between them, and an untrained model."""
+    folder = tmp_path_factory.mktemp("rooms")
+    write_json(folder / "rooms.json", new_index(32, "mix"))
+    rooms = [flat_room(SEED, "easy"), flat_room(SEED + 2, "hard")]
+    scenes = [
+        RenderedScene(
+            images=room.images,
+            instances=room.instances.astype(np.uint16),
+            depths_mm=(room.depths_m * 1000).astype(np.uint16),
+            world_from_cam=room.world_from_cam.astype(np.float32),
+            intrinsics=room.intrinsics.astype(np.float32),
+            meta=room.meta,
+        )
+        for room in rooms
+    ]
+    write_shard(folder / "rooms-2000000.safetensors", scenes)
+    add_to_index(folder, SEED // 16, ShardRecord([SEED, SEED + 2], [SEED + 1], ["easy", "hard"]))
+    torch.manual_seed(0)
+    backbone = NanoBackbone(NanoConfig(width=64, layers=1))
+    sizes = TokenizerConfig(width=64, num_anchors=16, num_groups=4, anchor_layers=1, group_layers=1)
+    save_model(
+        Tokenizer(backbone, sizes), folder / "tiny.safetensors", card={"config": {"seed": 7}}
+    )
+    return folder
+
+
+def command(folder: Path, *more: str) -> list[str]:
+    words = ["evaluate", "rooms-2view", "--data", str(folder), "--scenes", "2"]
+    return [*words, "--model", str(folder / "tiny.safetensors"), *more]
+
+
+def test_json_on_stdout_is_one_object_with_the_agreed_keys(folder, capsys):
+    assert main(command(folder, "--json", "--targets-per-scene", "1")) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"protocol", "model", "scenes", *KEYS}
+    assert result["scenes"] == 2
+    assert result["lpips"] is None
+    assert result["rotation_deg"] is not None
+    assert result["model"].startswith("tiny.safetensors sha256:")
+
+
+def test_given_geometry_leaves_its_errors_null(folder, capsys):
+    assert main(command(folder, "--json", "--geometry", "given", "--targets-per-scene", "1")) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["rotation_deg"] is result["depth_rel"] is None
+
+
+def test_pictures_are_saved_for_every_sample(folder, tmp_path, capsys):
+    words = ["--targets-per-scene", "2", "--save", str(tmp_path / "sheets"), "--markdown"]
+    assert main(command(folder, *words)) == 0
+    assert len(list((tmp_path / "sheets").glob("rooms-2view_*.png"))) == 4
+    assert "| 7 |" in capsys.readouterr().out  # the seed of the model's card
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "message"),
+    [
+        (["--scenes", "3"], 2, "no room with seed 2000003"),
+        (["--data", "/nowhere"], 2, "instok3d data rooms"),
+        (["--model", "/nowhere.safetensors"], 4, "no model file"),
+        (["--pose-alignment-steps", "-1"], 2, "0 or more, got -1"),
+        (["--details"], 2, "pass --json too"),
+        (["--lpips", "/nowhere"], 2, "no LPIPS weights"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_an_exit_code(folder, capsys, more, code, message):
+    assert main(command(folder, *more)) == code
+    said = capsys.readouterr()
+    assert message in said.err
+    assert said.out == ""
