@@ -90,6 +90,9 @@ def train(
     all_seeds = [source.seed_of(number) for number in range(len(source))]
     if resume:
         restore(state, read_checkpoint(folder))
+        if add_rooms:
+            known = set(state.scene_seeds)
+            state.scene_seeds += [seed for seed in all_seeds if seed not in known]
     elif (folder / "checkpoints").exists():
         raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
     else:
