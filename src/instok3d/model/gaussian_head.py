@@ -14,7 +14,8 @@ from instok3d.types import Anchors, Context, Gaussians
 
 SH_CONSTANT = 0.28209479177387814
 """Value of the constant spherical harmonic: colour = 0.5 + SH_CONSTANT * coefficient."""
-MAX_EXPANSION = 4.0
+MAX_EXPANSION = 3.0
+NEIGHBOURS = 3
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,12 @@ class GaussianHead(nn.Module):
         bands = [degree for degree in range(config.sh_degree + 1) for _ in range(2 * degree + 1)]
         damping = torch.tensor([0.5 * 0.25**band if band else 1.0 for band in bands])
         self.register_buffer("damping", damping[:, None], persistent=False)
-        nn.init.normal_(self.out.weight, std=0.01 if surface else 0.02)
+        nn.init.normal_(self.out.weight, std=0.002 if surface else 0.02)
         bias = torch.zeros(config.gaussians_per_anchor, sum(self.sizes))
         if not surface:
             bias[:, :3].normal_(std=0.5)  # else all Gaussians of an anchor start as one
         bias[:, 6] = 1.0
-        bias[:, 10] = 0.5 if surface else -2.0
+        bias[:, 10] = 1.0 if surface else -2.0
         with torch.no_grad():
             self.out.bias.copy_(bias.flatten())
 
@@ -170,15 +171,17 @@ def _surface_seeds(anchors: Anchors, context: Context) -> _SurfaceSeeds:
     """The cells of each anchor's patch, spread out where anchors are sparse.
 
     With fewer anchors than patches (many views) an anchor has to cover for its neighbours: its
-    cells move apart and its Gaussians grow by the distance to the nearest other anchor over the
-    width of the patch, 1 to 4 times, while their colours fade to the patch's mean.
+    cells move apart and its Gaussians grow by the distance to the nearest other anchors over the
+    width of the patch, at most by the number of patches for each anchor, while their colours
+    fade to the patch's mean.
     """
     cells = gather_rows(context.cells, anchors.patches)
     points, colors = cells.split(3, dim=-1)
     spacing = _cell_spacing(points)
-    nearest = _nearest_distance(anchors.positions)
-    sparsity = nearest / (spacing * isqrt(points.shape[2]))
-    expansion = sparsity.clamp(1.0, MAX_EXPANSION)[..., None, None]
+    apart = _neighbour_distance(anchors.positions)
+    sparsity = apart / (spacing * isqrt(points.shape[2]))
+    patches_per_anchor = context.cells.shape[1] / cells.shape[1]
+    expansion = sparsity.clamp(1.0, min(patches_per_anchor, MAX_EXPANSION))[..., None, None]
     relative = points - anchors.positions[:, :, None]
     local = (relative / spacing[..., None, None]).clamp(-8.0, 8.0).flatten(2)
     shape_inputs = torch.cat([local, sparsity.clamp(0.05, 20.0).log()[..., None]], dim=-1)
@@ -192,20 +195,26 @@ def _surface_seeds(anchors: Anchors, context: Context) -> _SurfaceSeeds:
 
 
 def _cell_spacing(points: Float[Tensor, "batch anchor cell 3"]) -> Float[Tensor, "batch anchor"]:
-    """Median distance between neighbouring cells: an edge through the patch hardly moves it."""
+    """What a cell measures across, seen face on: a low quantile of distances to neighbours.
+
+    Low, because edges of objects and slanted surfaces only ever make cells lie farther apart.
+    """
     side = isqrt(points.shape[2])
     grid = points.unflatten(2, (side, side))
     down = (grid[:, :, 1:] - grid[:, :, :-1]).norm(dim=-1).flatten(2)
     right = (grid[:, :, :, 1:] - grid[:, :, :, :-1]).norm(dim=-1).flatten(2)
-    return torch.cat([down, right], dim=-1).median(dim=-1).values.clamp_min(1e-5)
+    distances = torch.cat([down, right], dim=-1)
+    low = 1 + distances.shape[-1] // 8
+    return distances.kthvalue(low, dim=-1).values.clamp_min(1e-5)
 
 
 @torch.no_grad()
-def _nearest_distance(positions: Float[Tensor, "batch anchor 3"]) -> Float[Tensor, "batch anchor"]:
-    """Distance of each anchor to its nearest other one; 0 for an anchor that is alone."""
-    anchors = positions.shape[1]
-    if anchors == 1:
+def _neighbour_distance(
+    positions: Float[Tensor, "batch anchor 3"],
+) -> Float[Tensor, "batch anchor"]:
+    """Mean distance of each anchor to the NEIGHBOURS nearest others; 0 for one that is alone."""
+    count = min(NEIGHBOURS, positions.shape[1] - 1)
+    if count == 0:
         return torch.zeros_like(positions[..., 0])
     distance = torch.cdist(positions, positions)
-    distance.diagonal(dim1=-2, dim2=-1).fill_(torch.inf)
-    return distance.min(dim=-1).values
+    return distance.topk(count + 1, largest=False).values[..., 1:].mean(dim=-1)
