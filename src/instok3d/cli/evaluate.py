@@ -42,7 +42,8 @@ def run(
         pose_alignment_steps: Fit each target camera to the target photo first; off as a rule.
         lpips: A file of LPIPS weights; without it LPIPS is null.
         baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
-        save: A folder for one picture a room: photos, target, render, true and predicted masks.
+        save: A folder for a picture of each sample: photos, target, render, true and predicted
+            masks.
         json: Print one JSON object.
         details: With --json: also settings, levels, baselines and further figures.
         markdown: Print rows for docs/results.md.
