@@ -28,6 +28,8 @@ class RunArguments:
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
     them."""
+    add_rooms: bool = False
+    """On resuming, also train on the rooms that the folder has gained since the run began."""
     init_from: Path | None = None
     """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
     run that trained its backbone, or a tokenizer run."""
@@ -69,6 +71,7 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         RoomDataset(arguments.data),
         arguments.output,
         resume=arguments.resume,
+        add_rooms=arguments.add_rooms,
         init_from=arguments.init_from,
         time_limit_min=arguments.time_limit_min,
     )

@@ -74,6 +74,8 @@ def train(
         source: Scenes. The run uses those that are there when it starts, also after resuming.
         folder: The run.
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
+        add_rooms: On resuming, also use the scenes that the data set has gained since; the run is
+            then a new one from here on. The held-out scenes stay the same.
         init_from: A run folder or .safetensors file to take first weights from.
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
