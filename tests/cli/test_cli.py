@@ -1,5 +1,6 @@
 import errno
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from PIL import Image
 
 import instok3d
 from instok3d.cli import COMMANDS, exit_code, main
+from instok3d.model.files import DEFAULT_MODEL
 from instok3d.scene.ply import read_ply
 from made_model import made_model, made_photos
 from made_scene import made_scene, made_tokens
@@ -189,6 +191,37 @@ def test_errors_while_saving_have_their_codes_and_leave_nothing(
     assert shown.out == ""
 
 
+def test_options_that_cannot_be_are_bad_input(
+    tmp_path: Path, model: str, capsys: pytest.CaptureFixture[str]
+):
+    photos = str(made_photos(tmp_path / "photos"))
+    words = ["reconstruct", photos, "-o", str(tmp_path / "a.itk"), "--model", model]
+    cases = {("--device", "abacus"): "none that torch knows", ("--seed", "-1"): "seed must lie",
+             ("--max-views", "0"): "at least one view"}  # fmt: skip
+    if not torch.cuda.is_available():
+        cases[("--device", "cuda")] = "no CUDA device"
+    for options, message in cases.items():
+        assert main([*words, *options]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_with_its_code_and_leaves_nothing(tmp_path: Path, model: str):
+    photos = str(made_photos(tmp_path / "photos"))
+    words = ["reconstruct", photos, "-o", str(tmp_path / "a.itk"), "--model", model]
+    with subprocess.Popen([sys.executable, "-m", "instok3d", *words], stderr=subprocess.PIPE,
+                          text=True) as process:  # fmt: skip
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("photos"):
+                process.send_signal(signal.SIGINT)
+                break
+        rest = process.stderr.read()
+    assert process.returncode == 130
+    assert "instok3d: interrupted" in rest
+    assert "Traceback" not in rest
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]):
     assert main(["info", "nowhere.itk", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
@@ -263,11 +296,12 @@ def test_export_writes_a_ply_of_all_or_one(room: str, tmp_path: Path):
 
 
 def test_doctor_reports(capsys: pytest.CaptureFixture[str]):
-    assert main(["doctor", "--json"]) == 0
+    code = 0 if DEFAULT_MODEL.is_file() else 4
+    assert main(["doctor", "--json"]) == code
     findings = json.loads(capsys.readouterr().out)["findings"]
     names = [finding["name"] for finding in findings]
     assert {"torch", "native kernels", "default model", "memory"} <= set(names)
-    assert main(["doctor"]) == 0
+    assert main(["doctor"]) == code
 
 
 def test_the_version_is_that_of_the_package():

@@ -20,7 +20,8 @@ def test_reconstruct(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     model = made_model(tmp_path / "model.safetensors")
-    monkeypatch.setattr("instok3d.scene.reconstruct.DEFAULT_MODEL", model)
+    for module in ("instok3d.scene.reconstruct", "instok3d.model.files"):
+        monkeypatch.setattr(f"{module}.DEFAULT_MODEL", model)
     with pytest.warns(UserWarning, match="its results on real photos are poor"):
         run(monkeypatch, "00_reconstruct.py", made_photos(tmp_path / "in"), tmp_path / "a.itk")
     assert (tmp_path / "a.itk/scene.json").is_file()

@@ -106,7 +106,7 @@ def test_a_missing_parent_folder_is_named(tmp_path: Path, scene: Scene):
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
-@pytest.mark.parametrize("step", ["save_file", "write_previews", "_write_json"])
+@pytest.mark.parametrize("step", ["save", "write_previews", "_write_json"])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_an_interrupted_save_leaves_what_was_there(
     tmp_path: Path,
@@ -123,14 +123,16 @@ def test_an_interrupted_save_leaves_what_was_there(
     before = contents(tmp_path)
     calls = []
 
-    def fail_the_second_time(*arguments: object) -> None:
+    def fail_the_second_time(*arguments: object) -> bytes:
         calls.append(arguments)
         if len(calls) == 2 or step == "write_previews":
             raise error
+        return b""
 
     monkeypatch.setattr(files, step, fail_the_second_time)
     with pytest.raises(type(error)):
         scene.save(path, overwrite=overwrite)
+    assert getattr(error, "filename", str(path)) == str(path)
     assert contents(tmp_path) == before
     assert [each.name for each in tmp_path.iterdir()] == (["room.itk"] if overwrite else [])
 

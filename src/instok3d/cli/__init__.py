@@ -22,7 +22,12 @@ COMMANDS = {
     "train": "train a model",
     "data": "make and look at training rooms",
 }
-"""Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands."""
+"""Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands.
+An int that it returns is the exit code."""
+
+OUT_OF_MEMORY = ("can't allocate memory", "CUDA out of memory")
+"""What torch, which has no error type for it on the CPU, says when memory runs out."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG)
 
 OK, BAD_INPUT, RESOURCES, MISSING_WEIGHTS, INTERRUPTED = 0, 2, 3, 4, 130
 
@@ -61,9 +66,9 @@ def exit_code(error: Exception) -> int | None:
     """The exit code that an error stands for; None for those that only a fault can raise."""
     if any(kind.__name__ == "MissingWeightsError" for kind in type(error).__mro__):
         return MISSING_WEIGHTS
-    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+    if isinstance(error, MemoryError) or any(text in str(error) for text in OUT_OF_MEMORY):
         return RESOURCES
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM):
+    if isinstance(error, OSError) and error.errno in FULL:
         return RESOURCES
     if isinstance(error, ValueError | KeyError | OSError | ModuleNotFoundError):
         return BAD_INPUT
@@ -85,12 +90,13 @@ def _dispatch(words: list[str]) -> int:
     program = f"instok3d {words[0]}"
     try:
         if hasattr(module, "COMMANDS"):
-            tyro.extras.subcommand_cli_from_dict(module.COMMANDS, prog=program, args=words[1:])
+            commands = module.COMMANDS
+            code = tyro.extras.subcommand_cli_from_dict(commands, prog=program, args=words[1:])
         else:
-            tyro.cli(module.run, prog=program, args=words[1:])
+            code = tyro.cli(module.run, prog=program, args=words[1:])
     except SystemExit as stop:  # tyro has printed its help or what is wrong with the arguments
         return stop.code if isinstance(stop.code, int) else OK if stop.code is None else BAD_INPUT
-    return OK
+    return code if isinstance(code, int) else OK
 
 
 def _overview() -> str:

@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+GSPLAT = "1.5.3"
+"""As in pyproject.toml."""
 EXTRAS = {
-    "gsplat": "gpu: rendering on CUDA",
     "embreex": "rooms: making training rooms",
     "viser": "view: the viewer",
     "imageio": "video: reading and writing films",
@@ -25,20 +26,25 @@ class Finding:
     """False: something works worse or not at all; the state says what to do."""
 
 
-def run(json: bool = False) -> None:
+def run(json: bool = False) -> int:
     """Report what this machine has for InsTok3D, and what it lacks.
+
+    Exit code 4 without the default model, else 0.
 
     Args:
         json: Print one JSON object.
     """
-    findings = [*_python(), _kernels(), _gsplat(), *_model(), *_extras(), _memory()]
+    model = _model()
+    findings = [*_python(), _kernels(), _gsplat(), model, *_extras(), _memory()]
+    code = 0 if model.good else 4
     if json:
         from instok3d.cli.info import print_json
 
         print_json({"findings": [asdict(finding) for finding in findings]})
-        return
+        return code
     for finding in findings:
         print(f"{'ok  ' if finding.good else 'LACK'} {finding.name:16} {finding.state}")
+    return code
 
 
 def _python() -> list[Finding]:
@@ -62,13 +68,13 @@ def _memory() -> Finding:
     return Finding("memory", f"{free:.1f} GB free; eight photos need 1.5 GB", free > 1.5)
 
 
-def _model() -> list[Finding]:
+def _model() -> Finding:
     from instok3d.model.files import DEFAULT_MODEL, file_sha256
 
     if not DEFAULT_MODEL.is_file():
-        return [Finding("default model", f"missing: reinstall, no {DEFAULT_MODEL}", False)]
+        return Finding("default model", f"missing: reinstall, no {DEFAULT_MODEL}", False)
     size = DEFAULT_MODEL.stat().st_size / 1e6
-    return [Finding("default model", f"{size:.1f} MB, sha256 {file_sha256(DEFAULT_MODEL)}", True)]
+    return Finding("default model", f"{size:.1f} MB, sha256 {file_sha256(DEFAULT_MODEL)}", True)
 
 
 def _extras() -> list[Finding]:
@@ -77,7 +83,6 @@ def _extras() -> list[Finding]:
     return [
         Finding(name, f"{'there' if find_spec(name) else 'not installed'} (extra {use})", True)
         for name, use in EXTRAS.items()
-        if name != "gsplat"
     ]
 
 
@@ -87,9 +92,13 @@ def _gsplat() -> Finding:
     if not torch.cuda.is_available():
         return Finding("gsplat", "not needed: torch sees no CUDA device", True)
     try:
-        return Finding("gsplat", f"{version('gsplat')} for {torch.cuda.get_device_name()}", True)
+        found = version("gsplat")
     except PackageNotFoundError:
         return Finding("gsplat", "missing: pip install 'instok3d[gpu]' to render on CUDA", False)
+    state = f"{found} for {torch.cuda.get_device_name()}"
+    if found.split("+")[0] != GSPLAT:
+        return Finding("gsplat", f"{state}, but {GSPLAT} is what was tested", False)
+    return Finding("gsplat", state, True)
 
 
 def _kernels() -> Finding:

@@ -1,8 +1,15 @@
-"""The scene folder (`room.itk`): JSON, safetensors and PNG, nothing that runs code when read."""
+"""The scene folder (`room.itk`): JSON, safetensors and PNG, nothing that runs code when read.
+
+scene.json: version, units, frame, model, seed, hashes of the photos, warnings. cameras.json: a
+list, one entry a view. objects.json: a list, one entry an object. gaussians.safetensors and
+tokens.safetensors: the fields of `Gaussians` and `SceneTokens`, float32 (anchor_index int64).
+previews/: contact_sheet.png, objects/NNN.png, and inputs/NNN.png, the photos as the model saw them.
+"""
 
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +19,7 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from instok3d.data.pixel_map import PixelMap
@@ -51,6 +58,7 @@ def save_scene(
     Raises:
         FileExistsError: Something is at `path`, and `overwrite` is off or it is no scene.
         FileNotFoundError: The folder that `path` is to stand in is not there.
+        PermissionError: That folder may not be written to.
     """
     check_target(path, overwrite=overwrite)
     begin = progress or (lambda stage: None)
@@ -62,9 +70,10 @@ def save_scene(
         write_previews(scene, part / "previews")
         begin("save")
         for name in TENSOR_FILES:
-            tensors = scene.gaussians if name.startswith("gaussians") else scene.tokens
-            save_file({k: v.detach().cpu().contiguous() for k, v in vars(tensors).items()},
-                      part / name)  # fmt: skip
+            stage = scene.gaussians if name.startswith("gaussians") else scene.tokens
+            tensors = {k: v.detach().cpu().contiguous() for k, v in vars(stage).items()}
+            # Not save_file, which hides a full disk behind an error type of its own.
+            (part / name).write_bytes(save(tensors))
         _write_json(part / "cameras.json", _cameras_json(scene))
         _write_json(part / "objects.json", [item.to_json() for item in scene.objects])
         digests = {name: file_sha256(part / name) for name in sorted(TENSOR_FILES)}
@@ -77,9 +86,12 @@ def check_target(path: Path, *, overwrite: bool) -> None:
     Raises:
         FileExistsError: Something is at `path`, and `overwrite` is off or it is no scene.
         FileNotFoundError: The folder that `path` is to stand in is not there.
+        PermissionError: That folder may not be written to.
     """
     if not path.resolve().parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.resolve().parent}")
+    if not os.access(path.resolve().parent, os.W_OK):
+        raise PermissionError(f"cannot write {path}: {path.resolve().parent} may not be written to")
     if not (path.exists() or path.is_symlink()):
         return
     if not overwrite:

@@ -16,7 +16,7 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     until the new one is complete, and comes back if the last step fails. After an error, and
     after Ctrl-C, the temporary folder is gone and `path` is as it was.
     """
-    part = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+    part = Path(tempfile.mkdtemp(prefix=".instok3d-", suffix=".part", dir=path.parent))
     old = part.with_suffix(".old")
     try:
         yield part
@@ -29,7 +29,9 @@ def replacing_folder(path: Path) -> Iterator[Path]:
             path.rename(old)
         part.rename(path)
         _sync(path.parent)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)  # a full disk is reported without the name of the file
         if old.exists() and not path.exists():
             old.rename(path)
         raise

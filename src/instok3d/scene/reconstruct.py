@@ -57,12 +57,17 @@ def reconstruct(
     Raises:
         FileNotFoundError: Something named is not there; MissingWeightsError for the model.
         PermissionError: Something may not be read.
-        ValueError: No photo, a damaged one, or cameras that do not fit; says which.
+        ValueError: No photo, a damaged one, or cameras that do not fit; says which. Or the
+            device or the seed cannot be used.
     """
     begin = progress or (lambda stage: None)
+    device = _checked_device(device)
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"seed must lie in 0..2^63 - 1, got {seed}")
     begin("photos")
-    path = None if isinstance(model, Tokenizer) else DEFAULT_MODEL if model is None else Path(model)
-    card = {} if path is None else read_card(path)
+    in_memory = isinstance(model, Tokenizer)
+    path = None if model is None or in_memory else Path(model)
+    card = {} if in_memory else read_card(path)
     side = int(card.get("image_side", IMAGE_SIDE))
     photo_set = read_photos(photos, height=side, width=side, max_views=max_views, cameras=cameras)
     begin("model")
@@ -79,6 +84,7 @@ def reconstruct(
     notes = [TRAINED_ON_ROOMS] if model is None else []
     for note in notes:
         warnings.warn(note, stacklevel=2)
+    file = path or DEFAULT_MODEL
     given = photo_set.views.cam_from_world
     return scene_from_tokens(
         tokens,
@@ -86,14 +92,24 @@ def reconstruct(
         _scene_views(photo_set),
         provenance=Provenance(
             generator=f"instok3d {__version__}",
-            model="in memory" if path is None else str(card.get("name", path.name)),
-            model_sha256="" if path is None else file_sha256(path),
+            model="in memory" if in_memory else str(card.get("name", file.stem)),
+            model_sha256="" if in_memory else file_sha256(file),
             seed=seed,
         ),
         cam_from_world=None if given is None else given[0],
         units=photo_set.units,
         notes=[*notes, *photo_set.warnings],
     )
+
+
+def _checked_device(name: str | torch.device) -> torch.device:
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ValueError(f"device {name!r} is none that torch knows; try 'cpu'") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"device {str(name)!r} was asked for, but torch sees no CUDA device")
+    return device
 
 
 def _scene_views(photos: PhotoSet) -> list[SceneView]:

@@ -1,0 +1,51 @@
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+import instok3d
+from instok3d.cli import main
+from instok3d.model.files import DEFAULT_MODEL
+
+PHOTOS = Path(str(files("instok3d") / "assets" / "demo"))
+
+
+@pytest.fixture
+def shipped() -> None:
+    if not (DEFAULT_MODEL.is_file() and PHOTOS.is_dir()):
+        pytest.skip("the default model and the demo's photos are not in this tree")
+
+
+@pytest.mark.usefixtures("shipped")
+def test_demo_finds_objects_in_the_shipped_photos(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["demo", "-o", str(tmp_path / "demo.itk"), "--json"]) == 0
+    shown = capsys.readouterr()
+    made = json.loads(shown.out)
+    assert sum(time for time in made["timings_s"].values()) < 30
+    assert len(made["objects"]) >= 3
+    assert shown.err.count("its results on real photos are poor") == 1
+    scene = instok3d.load(tmp_path / "demo.itk")
+    assert any("results on real photos are poor" in line for line in scene.warnings)
+    difference = scene.render().colors - scene.photos.permute(0, 3, 1, 2) / 255
+    assert float(-10 * difference.square().mean().log10()) > 15
+
+
+@pytest.mark.usefixtures("shipped")
+def test_the_shipped_photos_are_small():
+    assert sum(file.stat().st_size for file in PHOTOS.iterdir()) < 1_000_000
+
+
+def test_a_demo_without_weights_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    nothing = tmp_path / "nothing.safetensors"
+    monkeypatch.setattr("instok3d.model.files.DEFAULT_MODEL", nothing)
+    code, message = (
+        (4, "the default model is not") if PHOTOS.is_dir() else (2, "photos are missing")
+    )
+    assert main(["demo", "-o", str(tmp_path / "demo.itk")]) == code
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "demo.itk").exists()
