@@ -105,7 +105,7 @@ def test_a_missing_parent_folder_is_named(tmp_path: Path, scene: Scene):
         scene.save(tmp_path / "nowhere" / "room.itk")
 
 
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+@pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt])
 @pytest.mark.parametrize("step", ["save", "write_previews", "_write_json"])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_an_interrupted_save_leaves_what_was_there(
@@ -113,7 +113,7 @@ def test_an_interrupted_save_leaves_what_was_there(
     scene: Scene,
     empty_scene: Scene,
     monkeypatch: pytest.MonkeyPatch,
-    error: BaseException,
+    kind: type[BaseException],
     step: str,
     overwrite: bool,
 ):
@@ -122,6 +122,7 @@ def test_an_interrupted_save_leaves_what_was_there(
         empty_scene.save(path)
     before = contents(tmp_path)
     calls = []
+    error = kind(errno.ENOSPC, "No space left on device")
 
     def fail_the_second_time(*arguments: object) -> bytes:
         calls.append(arguments)
@@ -130,9 +131,9 @@ def test_an_interrupted_save_leaves_what_was_there(
         return b""
 
     monkeypatch.setattr(files, step, fail_the_second_time)
-    with pytest.raises(type(error)):
+    with pytest.raises(kind):
         scene.save(path, overwrite=overwrite)
-    assert getattr(error, "filename", str(path)) == str(path)
+    assert kind is KeyboardInterrupt or getattr(error, "filename", None) == str(path)
     assert contents(tmp_path) == before
     assert [each.name for each in tmp_path.iterdir()] == (["room.itk"] if overwrite else [])
 
