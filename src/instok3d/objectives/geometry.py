@@ -41,19 +41,14 @@ def geometry_loss(backbone: NanoBackbone, raw: RawGeometry, true: Views) -> Geom
     if true.depths is None or true.cam_from_world is None or true.intrinsics is None:
         raise ValueError("geometry_loss needs depths, cam_from_world and intrinsics of the views")
     known = true.depths > 0
-    mean_depth = _masked_mean(true.depths, known)
-    log_true = (true.depths / mean_depth[:, None, None, None]).clamp_min(1e-6).log()
-    error = raw.log_depths.float() - log_true
-    shift = torch.stack(
-        [scene[mask].median() if mask.any() else scene.sum() * 0 for scene, mask in
-         zip(error.detach(), known, strict=True)]
-    )  # fmt: skip
-    error = error - shift[:, None, None, None]
-    absolute = error.abs()
-    depth = absolute[known].mean() if known.any() else error.sum() * 0
-    scale = (raw.log_depths.float() - log_true)[known].mean().abs()
-    spread = (absolute.detach() * raw.log_confidences.exp() - raw.log_confidences)[known]
-    confidence = spread.mean() if known.any() else error.sum() * 0
+    mean_depth = _masked_mean(true.depths, known).clamp_min(1e-6)[:, None, None, None]
+    log_true = torch.where(known, true.depths / mean_depth, 1.0).log()
+    unscaled = raw.log_depths.float() - log_true
+    error = unscaled - _median_where(unscaled.detach(), known)[:, None, None, None]
+    depth = _mean_where(error.abs(), known)
+    scale = _mean_where(unscaled, known).abs()
+    spread = error.abs().detach() * raw.log_confidences.exp() - raw.log_confidences
+    confidence = _mean_where(spread, known)
     match = _match_loss(backbone, raw, true, Cameras(true.cam_from_world, true.intrinsics))
     gradient = _gradient_loss(error, known)
     width = max(true.images.shape[-2:])
@@ -61,6 +56,12 @@ def geometry_loss(backbone: NanoBackbone, raw: RawGeometry, true: Views) -> Geom
     focal = (raw.log_focal - (true.intrinsics[..., 0, 0] / typical).log()).abs().mean()
     total = depth + 0.1 * scale + 0.5 * gradient + 0.05 * confidence + 0.1 * match + 0.3 * focal
     return GeometryLoss(total, depth, scale, gradient, confidence, match, focal)
+
+
+def _median_where(values: Tensor, mask: Tensor) -> Float[Tensor, " batch"]:
+    """Median over the masked values of each scene, 0 where there are none."""
+    chosen = [scene[keep] for scene, keep in zip(values, mask, strict=True)]
+    return torch.stack([v.median() if v.numel() else values.new_zeros(()) for v in chosen])
 
 
 def _masked_mean(values: Tensor, mask: Tensor) -> Float[Tensor, " batch"]:

@@ -311,7 +311,7 @@ class NanoBackbone(GeometryBackbone):
             views = (a, b) if here == 0 else (b, a)
             descriptors = raw.descriptors[scenes]
             logits, total = self.match(descriptors[:, views[0]], descriptors[:, views[1]])
-            share, trust = _sharpen((logits - total[..., None]).exp(), columns)
+            share, trust = sharpen((logits - total[..., None]).exp(), columns)
             ways += [points[here], share @ rays[there], share @ points[there], trust]
         return tuple(ways)
 
@@ -339,7 +339,7 @@ def _cell_rays(intrinsics: Tensor, size: tuple[int, int] | torch.Size) -> Tensor
     return pixel_rays(scaled, size[0] // MATCH_STRIDE, size[1] // MATCH_STRIDE)
 
 
-def _sharpen(probability: Tensor, columns: int, radius: int = 2) -> tuple[Tensor, Tensor]:
+def sharpen(probability: Tensor, columns: int, radius: int = 2) -> tuple[Tensor, Tensor]:
     """Match probabilities cut to a window around the best cell, and the trust in each match.
 
     The mean over a window around the peak lies between cells and is not drawn away by other

@@ -1,0 +1,111 @@
+"""The nano backbone keeps what is given and solves the rest, for any number and size of views."""
+
+import pytest
+import torch
+
+from instok3d.geometry.cameras import intrinsics_from_field_of_view
+from instok3d.geometry.registration import rigid_from_twist
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry, sharpen
+from instok3d.types import Views
+
+TINY = NanoConfig(width=64, layers=1, match_channels=16)
+
+
+@pytest.fixture(scope="module")
+def backbone() -> NanoBackbone:
+    torch.manual_seed(0)
+    return NanoBackbone(TINY).eval()
+
+
+def photos(rng: torch.Generator, views: int, height: int = 32, width: int = 32) -> torch.Tensor:
+    return torch.rand(2, views, 3, height, width, generator=rng)
+
+
+@pytest.mark.parametrize(("views", "height", "width"), [(1, 32, 32), (2, 32, 48), (5, 40, 24)])
+def test_any_number_and_size_of_views(backbone, rng, views, height, width):
+    with torch.no_grad():
+        geometry = backbone(Views(photos(rng, views, height, width)))
+    assert geometry.features.shape == (2, views, height * width // 64, 128)
+    assert geometry.pointmaps.shape == (2, views, height, width, 3)
+    assert (geometry.depths > 0).all()
+    assert geometry.pointmaps.isfinite().all()
+    first = geometry.cameras.cam_from_world[:, 0]
+    torch.testing.assert_close(first, torch.eye(4).expand(2, 4, 4))
+
+
+def test_size_that_is_no_multiple_of_the_patch_is_an_error(backbone, rng):
+    with pytest.raises(ValueError, match=r"30x32 pixels.*multiples of 8"):
+        backbone(Views(photos(rng, 1, height=30)))
+
+
+def test_given_depth_and_cameras_come_back_unchanged(backbone, rng):
+    cameras = rigid_from_twist(0.2 * torch.randn(2, 3, 6, generator=rng))
+    depths = 1 + torch.rand(2, 3, 32, 32, generator=rng)
+    intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), 32, 32).expand(2, 3, 3, 3)
+    with torch.no_grad():
+        geometry = backbone(Views(photos(rng, 3), intrinsics, cameras, depths))
+    torch.testing.assert_close(geometry.depths, depths)
+    torch.testing.assert_close(geometry.cameras.intrinsics, intrinsics)
+    one_from_first = cameras[:, 1] @ cameras[:, 0].inverse()
+    torch.testing.assert_close(
+        geometry.cameras.cam_from_world[:, 1], one_from_first, atol=1e-5, rtol=1e-5
+    )
+
+
+def test_holes_in_given_depth_are_filled_at_its_scale(backbone, rng):
+    depths = 7 + torch.rand(2, 1, 32, 32, generator=rng)
+    depths[:, :, :16] = 0
+    with torch.no_grad():
+        geometry = backbone(Views(photos(rng, 1), depths=depths))
+    torch.testing.assert_close(geometry.depths[:, :, 16:], depths[:, :, 16:])
+    filled = geometry.depths[:, :, :16].median()
+    assert 5 < float(filled) < 11
+
+
+def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
+    # Two flat walls one unit away; every cell of view 1 shows what view 0 shows one cell (four
+    # pixels) to its right, so the camera moved by 4 pixels / 32 pixels of focal length.
+    cells = 8
+    codes = torch.eye(cells * (cells + 1)).view(cells, cells + 1, -1)
+    descriptors = torch.stack([codes[:, :-1].flatten(0, 1), codes[:, 1:].flatten(0, 1)])[None]
+    raw = RawGeometry(
+        features=torch.zeros(1, 2, 16, 1),
+        log_depths=torch.zeros(1, 2, 32, 32),
+        log_confidences=torch.zeros(1, 2, 32, 32),
+        descriptors=descriptors,
+        log_focal=torch.zeros(1, 2),
+    )
+    intrinsics = torch.tensor([[32.0, 0, 16], [0, 32.0, 16], [0, 0, 1]]).expand(1, 2, 3, 3)
+    cameras = backbone.solve_cameras(raw, torch.ones(1, 2, 32, 32), intrinsics)
+    expected = torch.eye(4)
+    expected[0, 3] = -4 / 32
+    torch.testing.assert_close(cameras[0, 1], expected, atol=2e-2, rtol=0)
+
+
+def test_sharpened_match_lies_between_the_cells_of_the_peak_and_ignores_far_ones():
+    # A row of 9 cells: 0.3 and 0.3 at cells 2 and 3, 0.25 far away at cell 8.
+    probability = torch.zeros(1, 1, 9)
+    probability[..., 2], probability[..., 3], probability[..., 8] = 0.3001, 0.3, 0.25
+    share, trust = sharpen(probability, columns=9)
+    torch.testing.assert_close(share @ torch.arange(9.0), torch.tensor([[2.5]]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(trust, torch.tensor([[0.6001]]))
+
+
+def test_match_probabilities_leave_room_for_not_seen(backbone, rng):
+    codes = torch.nn.functional.normalize(torch.randn(1, 12, 16, generator=rng), dim=-1)
+    logits, total = backbone.match(codes, codes)
+    seen = (logits - total[..., None]).exp().sum(-1)
+    unseen = (backbone.no_match() - total).exp()
+    torch.testing.assert_close(seen + unseen, torch.ones(1, 12))
+
+
+def test_photos_alone_reach_every_parameter_but_the_ray_embedding(rng):
+    torch.manual_seed(0)
+    backbone = NanoBackbone(TINY)
+    raw = backbone.encode(Views(photos(rng, 2)))
+    logits, total = backbone.match(raw.descriptors[:, 0], raw.descriptors[:, 1])
+    matches = (logits - total[..., None]).square().sum()
+    depth = raw.log_depths.square().sum() + raw.log_confidences.sum()
+    (matches + depth + (raw.log_focal - 1).square().sum()).backward()
+    silent = {name for name, p in backbone.named_parameters() if p.grad is None}
+    assert silent == {"embed_ray.weight", "embed_ray.bias"}
