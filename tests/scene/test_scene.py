@@ -1,9 +1,11 @@
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from instok3d import load
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.scene.from_tokens import MIN_PIXELS
 from instok3d.scene.scene import Scene
@@ -117,6 +119,23 @@ def test_gaussians_that_are_not_finite_are_dropped_and_told():
         scene = made_scene(replace(tokens, gaussians=replace(tokens.gaussians, means=means)))
     assert scene.objects[0].num_gaussians == 11
     assert scene.warnings == ("dropped 1 Gaussians that were not finite",)
+
+
+def test_tokens_that_are_not_finite_are_refused():
+    tokens = made_tokens()
+    with pytest.raises(ValueError, match="not finite; try another model"):
+        made_scene(replace(tokens, tokens=tokens.tokens * torch.nan))
+
+
+def test_a_scene_of_no_gaussians_is_black_and_can_be_kept(tmp_path: Path):
+    tokens = made_tokens()
+    means = torch.full_like(tokens.gaussians.means, torch.nan)
+    with pytest.warns(UserWarning, match="dropped 40 Gaussians"):
+        scene = made_scene(replace(tokens, gaussians=replace(tokens.gaussians, means=means)))
+    assert scene.objects == ()
+    assert not scene.render(ids=True).colors.any()
+    scene.save(tmp_path / "room.itk")
+    assert load(tmp_path / "room.itk").gaussians.means.shape == (0, 3)
 
 
 def test_a_batch_of_two_is_refused():

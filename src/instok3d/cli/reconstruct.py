@@ -9,7 +9,7 @@ import tyro
 
 
 def run(
-    photos: tyro.conf.Positional[tuple[str, ...]],
+    photos: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="INPUT ...")],
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     cameras: Path | None = None,

@@ -58,7 +58,8 @@ def scene_from_tokens(
         notes: Warnings to be kept with the scene.
 
     Raises:
-        ValueError: A batch of more than one scene, or a number of views that does not fit.
+        ValueError: A batch of more than one scene, a number of views that does not fit, or
+            tokens or cameras that are not finite.
     """
     if tokens.tokens.shape[0] != 1:
         raise ValueError(f"a scene is made of a batch of one, got {tokens.tokens.shape[0]}")
@@ -79,6 +80,11 @@ def scene_from_tokens(
         positions, tokens.anchors.tokens[0].float(), tokens.tokens[0].float(),
         tokens.assignment[0].float(),
     )  # fmt: skip
+    for value in (*vars(compact).values(), *vars(cameras).values()):
+        if not value.isfinite().all():
+            raise ValueError(
+                "the model gave tokens or cameras that are not finite; try another model file"
+            )
     bare = Scene(
         gaussians=gaussians, tokens=compact, cameras=cameras,
         height=photos.shape[1], width=photos.shape[2], objects=(), views=tuple(views),

@@ -1,0 +1,46 @@
+import math
+
+import pytest
+import torch
+
+from instok3d.geometry.cameras import invert_rigid, project, transform_points
+from instok3d.scene.paths import camera_path, look_at, orbit
+from instok3d.scene.scene import Scene
+
+
+def test_a_camera_looks_at_its_target_by_hand():
+    # From (2, 0, 0) at the origin with y down: forward is -x, right is down x forward = +z.
+    center, target = torch.tensor([[2.0, 0, 0]]), torch.zeros(1, 3)
+    cam_from_world = look_at(center, target, torch.tensor([0.0, 1, 0]))[0]
+    rows = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    torch.testing.assert_close(cam_from_world[:3, :3], rows)
+    torch.testing.assert_close(cam_from_world @ torch.tensor([2.0, 0, 0, 1]), torch.eye(4)[3])
+
+
+def test_an_orbit_keeps_its_target_in_the_middle_and_stays_near_the_photos(scene: Scene):
+    cameras = orbit(scene, 8)
+    middle = scene.cameras.cam_from_world[1]
+    z = transform_points(middle, scene.gaussians.means)[:, 2]
+    distance = z[z > 0].median()
+    target = transform_points(invert_rigid(middle), torch.tensor([[0, 0, float(distance)]]))
+    seen = transform_points(cameras.cam_from_world, target.expand(8, 1, 3))
+    pixels = project(seen, cameras.intrinsics)[:, 0]
+    principal_point = cameras.intrinsics[:, :2, 2]
+    torch.testing.assert_close(pixels, principal_point, atol=1e-3, rtol=0)
+    centers = invert_rigid(cameras.cam_from_world)[:, :3, 3]
+    away = (centers - invert_rigid(middle)[:3, 3]).norm(dim=1)
+    assert float(away.max()) <= 0.121 * float(distance)
+    assert math.isclose(float(away[0]), float(away[4]), rel_tol=1e-4)
+
+
+def test_a_path_of_another_size_sees_the_same(scene: Scene):
+    path = camera_path(scene, "inputs", 1, height=48)
+    assert (path.height, path.width) == (48, 32)
+    # Only the height is doubled: fy and cy double, fx and cx stay.
+    small, large = scene.cameras.intrinsics[0], path.cameras.intrinsics[0]
+    torch.testing.assert_close(large, small * torch.tensor([[1.0], [2], [1]]))
+
+
+def test_an_orbit_of_nothing_is_refused(scene: Scene):
+    with pytest.raises(ValueError, match="at least 1 frame, got 0"):
+        orbit(scene, 0)
