@@ -26,13 +26,14 @@ def extract_frames(path: Path, folder: Path, *, count: int = 48) -> list[Path]:
     # "file:" keeps ffmpeg from reading a name as the address of something else.
     source = f"file:{path.resolve()}"
     try:
-        _, duration_s = imageio_ffmpeg.count_frames_and_secs(source)
+        there, duration_s = imageio_ffmpeg.count_frames_and_secs(source)
     except RuntimeError as error:
         raise ValueError(
             f"{path} is not a video that ffmpeg can read; copy it again or convert it to mp4"
         ) from error
     if not duration_s or not duration_s > 0:
         raise ValueError(f"{path} lasts {duration_s} s and has no frame to take")
+    count = max(1, min(count, there))  # ffmpeg would repeat the frames of a short film
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-v", "error", "-i", source]
     command += ["-vf", f"fps={count}/{duration_s:.6f}:round=near", "-frames:v", str(count)]
     command += ["-q:v", "2", str(folder / "frame_%04d.jpg")]

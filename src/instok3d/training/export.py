@@ -11,13 +11,17 @@ from instok3d.training.run_log import read_metrics
 from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
 
 
-def export_model(run: Path, output: Path, *, half: bool = True, notes: str = "") -> dict[str, Any]:
+def export_model(
+    run: Path, output: Path, *, half: bool = True, image_side: int = 128, notes: str = ""
+) -> dict[str, Any]:
     """Write the averaged weights of a run's newest checkpoint with a card; returns the card.
 
     Args:
         run: Folder of a tokenizer run, finished or not.
         output: The .safetensors file; its folder must exist.
         half: Store float16.
+        image_side: Height and width of the pictures it was trained on, to which reconstruction
+            brings photos, pixels.
         notes: Free text for the card: data, licence, limits.
 
     Raises:
@@ -32,6 +36,8 @@ def export_model(run: Path, output: Path, *, half: bool = True, notes: str = "")
     model.load_state_dict({**checkpoint["model"], **checkpoint["average"]})
     validation = [x for x in read_metrics(run / "metrics.jsonl") if x["kind"] == "validation"]
     card = {
+        "name": output.stem,
+        "image_side": image_side,
         "steps": checkpoint["step"],
         "hours": round(checkpoint["elapsed_s"] / 3600, 2),
         "scenes": len(checkpoint["scene_seeds"]),
