@@ -1,5 +1,6 @@
 """Hand-held camera paths through a room, and the choice of frames along them by overlap."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,8 +126,20 @@ class PathFinder:
             points.append(there)
         return np.array(points)
 
+    def _aim(
+        self, point: np.ndarray, focus: np.ndarray | None, targets: list[np.ndarray]
+    ) -> np.ndarray:
+        """The way from a point to near the focus, or else to near a target; > 0.9 m if it can."""
+        away = np.zeros(2)
+        for _ in range(20):
+            target = targets[self.rng.integers(len(targets))] if focus is None else focus
+            away = target + self.rng.normal(0, 0.33, 2) - point
+            if np.linalg.norm(away) > 0.9:
+                break
+        return away
+
     def _draw_path(self) -> tuple[list[Pose], str]:
-        """Smooth position, height, yaw and pitch through way-points, with a hand's tremor."""
+        """A hand-held path through way-points, as dense poses, and its kind."""
         rng, points = self.rng, self._waypoints()
         kind = str(rng.choice(["focus", "roam", "pan"], p=[0.35, 0.4, 0.25]))
         heights = rng.uniform(1.2, 1.65) + rng.normal(0, 0.08, len(points))
@@ -135,11 +148,7 @@ class PathFinder:
         turning = rng.choice([-1, 1])
         yaws, pitches = [], []
         for point, height in zip(points, heights, strict=True):
-            for _ in range(20):
-                target = focus if kind == "focus" else targets[rng.integers(len(targets))]
-                away = target + rng.normal(0, 0.33, 2) - point
-                if np.linalg.norm(away) > 0.9:
-                    break
+            away = self._aim(point, focus if kind == "focus" else None, targets)
             yaw = float(np.arctan2(away[1], away[0]))
             if kind == "pan" and yaws:
                 yaw = yaws[-1] + turning * rng.uniform(0.5, 1.1)
@@ -148,19 +157,21 @@ class PathFinder:
             yaws.append(yaw)
             drop = height - rng.uniform(0.3, 1.1)
             pitches.append(np.clip(-np.arctan2(drop, max(np.linalg.norm(away), 1.4)), -0.7, 0.05))
-        knots = np.arange(SEGMENTS + 1)
+        return self._walk(points, heights, yaws, pitches), kind
+
+    def _walk(self, points: np.ndarray, *knots: Sequence[float] | np.ndarray) -> list[Pose]:
+        """Smooth poses through way-points and their heights, yaws, pitches, with a tremor."""
         t = np.linspace(0, SEGMENTS, SEGMENTS * DENSE + 1)
         tremor = [
-            a * np.sin(t * f + rng.uniform(0, 6))
+            a * np.sin(t * f + self.rng.uniform(0, 6))
             for a, f in ((0.015, 7), (0.02, 5), (0.02, 6), (0.03, 3))
         ]
-        xy = PchipInterpolator(knots, points)(t)
-        z = PchipInterpolator(knots, heights)(t) + tremor[0]
-        yaw = PchipInterpolator(knots, yaws)(t) + tremor[1]
-        pitch = PchipInterpolator(knots, pitches)(t) + tremor[2]
-        eyes = np.column_stack([xy, z])
-        poses = [looking(*frame) for frame in zip(eyes, yaw, pitch, tremor[3], strict=True)]
-        return poses, kind
+        xy, z, yaw, pitch = (
+            PchipInterpolator(np.arange(SEGMENTS + 1), values)(t) for values in (points, *knots)
+        )
+        eyes = np.column_stack([xy, z + tremor[0]])
+        angles = yaw + tremor[1], pitch + tremor[2], tremor[3]
+        return [looking(*frame) for frame in zip(eyes, *angles, strict=True)]
 
     def _probe(self, pose: Pose) -> Probe:
         origins, directions = camera_rays(self.intrinsics, pose, PROBE, PROBE)

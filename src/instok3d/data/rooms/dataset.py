@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float, Int, UInt8
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.data.rooms.shards import read_index
@@ -76,13 +76,10 @@ class RoomDataset:
 
         Raises:
             IndexError: There is no such scene.
+            ValueError: Its file is missing or damaged.
         """
         _, name, row = self._scenes[number]
-        if name not in self._open:
-            # One file stays open for each shard: a few hundred at most.
-            shard = safe_open(self.folder / name, framework="pt")
-            self._open[name] = shard, json.loads(shard.metadata()["scenes"])
-        shard, metas = self._open[name]
+        shard, metas = self._shard(name)
 
         def read(key: str) -> Tensor:
             return shard.get_slice(key)[row]
@@ -95,3 +92,16 @@ class RoomDataset:
             read("intrinsics"),
             metas[row],
         )
+
+    def _shard(self, name: str) -> tuple[Any, list[dict[str, Any]]]:
+        """An open shard and the meta of its scenes; it stays open, a few hundred at most do."""
+        if name not in self._open:
+            try:
+                shard = safe_open(self.folder / name, framework="pt")
+                self._open[name] = shard, json.loads(shard.metadata()["scenes"])
+            except (OSError, SafetensorError) as error:
+                raise ValueError(
+                    f"{self.folder / name} is missing or damaged ({error}); delete it and run "
+                    "`instok3d data rooms` on its seeds again"
+                ) from error
+        return self._open[name]

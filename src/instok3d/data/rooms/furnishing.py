@@ -255,7 +255,6 @@ class Furnisher:
                  4: [(0.3, 0.3), (0.7, 0.3), (0.3, 0.7), (0.7, 0.7)]}[count]  # fmt: skip
         item = self._make("ceiling_lamp")
         width, depth, height = item.size
-        hung = 0
         for fx, fy in spots:
             for _ in range(6):
                 x, y = plan.width * fx, plan.depth * fy
@@ -265,7 +264,6 @@ class Furnisher:
                 if plan.fits(region):
                     lamp = Placed(item, "ceiling_lamp", x, y, plan.height - 1e-3, 0.0)
                     plan.add(lamp, region)
-                    hung += 1
                     break
                 fx, fy = (float(v) for v in rng.uniform(0.2, 0.8, 2))
 

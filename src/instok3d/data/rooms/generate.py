@@ -3,11 +3,13 @@
 import logging
 import multiprocessing
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from tqdm import tqdm
 
@@ -25,9 +27,12 @@ from instok3d.data.rooms.shards import (
     shard_name,
     write_shard,
 )
+from instok3d.data.rooms.tracing import check_embree
 from instok3d.files import write_json
 
 log = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,8 @@ def _make_shard(shard: int, folder: Path, resolution: int, level: str) -> tuple[
 
 def _opened_index(folder: Path, resolution: int, level: str) -> dict:
     """The folder's index, made if there is none; it must be of the same kind of rooms."""
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"cannot write rooms to {folder}: it is a file, not a folder")
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / INDEX).exists():
         write_json(folder / INDEX, new_index(resolution, level))
@@ -118,19 +125,17 @@ def generate_rooms(
         progress: A bar on stderr.
 
     Raises:
-        ImportError: The ray tracer is not installed.
-        ValueError: Bad seeds, level or resolution, or the folder holds rooms of another kind.
+        ModuleNotFoundError: The ray tracer is not installed.
+        NotADirectoryError: The folder is a file.
+        ValueError: Bad seeds, level, resolution or workers, or the folder holds rooms of another
+            kind.
     """
-    if not len(seeds) or seeds.step != 1:
-        raise ValueError(f"seeds {seeds} is no range of seeds; give first:last+1, such as 0:2000")
-    if not 16 <= resolution <= 2048:
-        raise ValueError(f"resolution {resolution} is outside 16 to 2048 pixels")
-    if level != "mix" and level not in LEVELS:
-        raise ValueError(f"level {level!r} is unknown; choose mix, easy, medium or hard")
-    split_of(seeds[0]), split_of(seeds[-1])  # both must exist
+    _check(seeds, resolution, level, workers)
+    check_embree()
     shards = range(seeds[0] // SHARD_SEEDS, seeds[-1] // SHARD_SEEDS + 1)
     done = _opened_index(folder, resolution, level)["shards"]
-    missing = [s for s in shards if shard_name(s) not in done]
+    names = {s: shard_name(s) for s in shards}
+    missing = [s for s, name in names.items() if not (name in done and (folder / name).is_file())]
     make = partial(_make_shard, folder=folder, resolution=resolution, level=level)
     scenes = rejected = 0
     skipped = (len(shards) - len(missing)) * SHARD_SEEDS
@@ -147,13 +152,32 @@ def generate_rooms(
     return GenerationReport(scenes, rejected, skipped)
 
 
+def _check(seeds: range, resolution: int, level: str, workers: int) -> None:
+    """Raise ValueError for what cannot be made."""
+    if not len(seeds) or seeds.step != 1:
+        raise ValueError(f"seeds {seeds} is no range of seeds; give first:last+1, such as 0:2000")
+    if not 16 <= resolution <= 2048:
+        raise ValueError(f"resolution {resolution} is outside 16 to 2048 pixels")
+    if level != "mix" and level not in LEVELS:
+        raise ValueError(f"level {level!r} is unknown; choose mix, easy, medium or hard")
+    if workers < 1:
+        raise ValueError(f"workers must be 1 or more, got {workers}")
+    for seed in (seeds[0], seeds[-1]):
+        split_of(seed)
+
+
 @contextmanager
-def _results(make, shards: list[int], workers: int):
+def _results(
+    make: Callable[[int], Result], shards: list[int], workers: int
+) -> Iterator[Iterable[Result]]:
     """Finished shards as they come: in this process, or from a pool of fresh ones."""
     if workers <= 1 or len(shards) <= 1:
         yield map(make, shards)
         return
     with _one_thread_each():
-        pool = multiprocessing.get_context("spawn").Pool(min(workers, len(shards)))
+        # Ctrl-C is for this process alone: it ends the others, and they say nothing.
+        pool = multiprocessing.get_context("spawn").Pool(
+            min(workers, len(shards)), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        )
     with pool:
         yield pool.imap_unordered(make, shards)

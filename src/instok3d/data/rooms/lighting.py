@@ -69,9 +69,13 @@ def build_lights(
     for i, m in enumerate(mesh.materials):
         if m.light == "window":
             visible[i] = min(emission[i], window_visible)
-    single = (
-        np.ascontiguousarray(a, np.float32)
-        for a in (corners[:, 0], first, second, normals, weights)
+    return Lights(
+        emission=emission,
+        visible=visible,
+        corners=np.ascontiguousarray(corners[:, 0], np.float32),
+        first_edges=np.ascontiguousarray(first, np.float32),
+        second_edges=np.ascontiguousarray(second, np.float32),
+        normals=np.ascontiguousarray(normals, np.float32),
+        weights=np.ascontiguousarray(weights, np.float32),
+        guide=np.repeat(np.arange(len(face), dtype=np.int32), slots),
     )
-    guide = np.repeat(np.arange(len(face), dtype=np.int32), slots)
-    return Lights(emission, visible, *single, guide)

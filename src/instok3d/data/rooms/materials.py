@@ -1,13 +1,16 @@
 """Materials, and the maker that draws the numbers and the materials of one object."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from instok3d.data.rooms import colors, pictures, textures
 from instok3d.data.rooms.colors import Color, Number
 from instok3d.data.rooms.textures import Texture
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +63,14 @@ class Maker:
         """An integer from low to high - 1."""
         return int(self.rng.integers(low, high))
 
-    def choice(self, values):
+    def choice(self, values: Sequence[Value]) -> Value:
         """One of the values."""
         return values[self.integer(0, len(values))]
 
     def plain(
-        self, kind: str, color: Color | Number, unevenness: Number = 0.01, **look
+        self, kind: str, color: Color | Number, unevenness: Number = 0.01, **look: Any
     ) -> Material:
-        """One colour (a number is a grey)."""
+        """One colour (a number is a grey); `look` holds further fields of the Material."""
         color = np.ones(3) * color
         return Material(kind, textures.plain(self.rng, color, unevenness), **look)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from instok3d.data.rooms import colors
 from instok3d.data.rooms.colors import Number
-from instok3d.data.rooms.textures import _X, _Y, SIZE, Texture, _canvas, _framed, _quantised, noise
+from instok3d.data.rooms.textures import SIZE, Texture, X, Y, canvas, framed, noise, quantised
 
 
 def _horizon(rng: np.random.Generator, low: Number, high: Number, roughness: Number) -> np.ndarray:
@@ -15,11 +15,11 @@ def _horizon(rng: np.random.Generator, low: Number, high: Number, roughness: Num
 
 def _landscape(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
     ridge = _horizon(rng, 0.35, 0.65, 0.06)
-    down = _Y[..., None]
+    down = Y[..., None]
     sky = palette[0] * (1 - down * 0.5) + 0.3 * down
-    picture = np.where((ridge > _Y)[..., None], sky, palette[1] * (0.4 + 0.6 * down))
-    picture[(_X - rng.random()) ** 2 + (_Y - 0.25) ** 2 < 0.01] = [1, 0.95, 0.7]
-    picture[ridge + 0.12 + 0.05 * noise(rng, 3)[1] < _Y] = palette[2] * 0.7
+    picture = np.where((ridge > Y)[..., None], sky, palette[1] * (0.4 + 0.6 * down))
+    picture[(X - rng.random()) ** 2 + (Y - 0.25) ** 2 < 0.01] = [1, 0.95, 0.7]
+    picture[ridge + 0.12 + 0.05 * noise(rng, 3)[1] < Y] = palette[2] * 0.7
     return picture
 
 
@@ -29,7 +29,7 @@ def _blobs(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
 
 
 def _rectangles(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
-    picture = _canvas(0.93)
+    picture = canvas(0.93)
     for _ in range(9):
         (x, y), (w, h) = rng.integers(0, 220, 2), rng.integers(20, 120, 2)
         picture[y : y + h, x : x + w] = palette[rng.integers(6)]
@@ -38,15 +38,15 @@ def _rectangles(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
 
 
 def _circles(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
-    picture = _canvas(palette[0])
+    picture = canvas(palette[0])
     for _ in range(10):
-        distance2 = (_X - rng.random()) ** 2 + (_Y - rng.random()) ** 2
+        distance2 = (X - rng.random()) ** 2 + (Y - rng.random()) ** 2
         picture[distance2 < rng.uniform(0.004, 0.06)] = palette[rng.integers(6)]
     return picture
 
 
 def _portrait(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
-    picture = palette[0] * (0.6 + 0.4 * _Y)[..., None]
+    picture = palette[0] * (0.6 + 0.4 * Y)[..., None]
     skin = colors.hsv(0.07, 0.45, rng.uniform(0.4, 0.95))
     shapes = (
         (1.05, 0.34, 0.42, palette[1]),
@@ -54,7 +54,7 @@ def _portrait(rng: np.random.Generator, palette: np.ndarray) -> np.ndarray:
         (0.28, 0.2, 0.14, palette[3] * 0.3),
     )
     for center, half_width, half_height, color in shapes:
-        inside = ((_X - 0.5) / half_width) ** 2 + ((_Y - center) / half_height) ** 2 < 1
+        inside = ((X - 0.5) / half_width) ** 2 + ((Y - center) / half_height) ** 2 < 1
         picture[inside] = color
     return picture
 
@@ -64,17 +64,17 @@ def art(rng: np.random.Generator) -> Texture:
     palette = np.array([colors.vivid(rng, (0.1, 0.9), (0.15, 1)) for _ in range(6)])
     draw = (_landscape, _blobs, _rectangles, _circles, _portrait)[rng.integers(5)]
     picture, mount = draw(rng, palette), int(rng.integers(0, 24))
-    return _framed(picture, mount, 0.95) if mount > 6 else _quantised(picture)
+    return framed(picture, mount, 0.95) if mount > 6 else quantised(picture)
 
 
 def screen(rng: np.random.Generator) -> Texture:
     """What a screen shows: nothing, a picture, or lines of text in a window."""
     kind = rng.random()
     if kind < 0.4:
-        return _quantised(_canvas(np.array([0.02, 0.02, 0.025])))
+        return quantised(canvas(np.array([0.02, 0.02, 0.025])))
     if kind < 0.7:
         return art(rng)
-    picture = _canvas(rng.uniform(0.05, 0.95))
+    picture = canvas(rng.uniform(0.05, 0.95))
     picture[:14] = colors.vivid(rng)
     for y in range(24, 240, 9):
         x, end = 10, int(rng.integers(60, 245))
@@ -82,7 +82,7 @@ def screen(rng: np.random.Generator) -> Texture:
             width = int(rng.integers(5, 25))
             picture[y : y + 4, x : x + width] = colors.vivid(rng, (0, 0.8), (0.2, 0.8))
             x += width + 4
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def outdoors(rng: np.random.Generator) -> Texture:
@@ -91,69 +91,69 @@ def outdoors(rng: np.random.Generator) -> Texture:
     ridge = _horizon(rng, 0.45, 0.8, 0.05)
     green = colors.hsv(rng.uniform(0.2, 0.38), rng.uniform(0.2, 0.5), rng.uniform(0.4, 0.75))
     land = green * (1 + 0.25 * noise(rng, 1.5))[..., None]
-    return _quantised(np.where((ridge > _Y)[..., None], sky * (0.9 + 0.1 * _Y[..., None]), land))
+    return quantised(np.where((ridge > Y)[..., None], sky * (0.9 + 0.1 * Y[..., None]), land))
 
 
 def book_spines(rng: np.random.Generator) -> Texture:
     """A row of book spines of different heights, dark between and above them."""
-    picture, x = _canvas(0.08), 0
+    picture, x = canvas(0.08), 0
     while x < SIZE:
         width, gap = int(rng.integers(8, 24)), int(rng.integers(0, 50))
         picture[gap:, x : x + width - 1] = colors.vivid(rng, (0.1, 0.9), (0.15, 0.95))
         y, label = int(rng.integers(60, 150)), int(rng.integers(5, 40))
         picture[y : y + label, x + 2 : x + width - 3] = rng.uniform(0.1, 0.95)
         x += width
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def keyboard(rng: np.random.Generator) -> Texture:
     """Five rows of keys, lighter or darker than their bed."""
     bed = rng.uniform(0.03, 0.9)
-    picture = _canvas(bed)
+    picture = canvas(bed)
     key = bed - 0.15 if bed > 0.5 else bed + 0.3
     for row in range(5):
         for column in range(14):
             y, x = 10 + row * 48, 6 + column * 18
             picture[y : y + 38, x : x + 13] = key
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def piano_keys(rng: np.random.Generator) -> Texture:
     """White keys with black ones in groups."""
-    picture = _canvas(0.95)
+    picture = canvas(0.95)
     for key in range(50):
         if key % 7 not in (2, 6):
             x = int(SIZE * (key + 0.7) / 50)
             picture[:150, x : x + 3] = 0.03
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def clock_face(rng: np.random.Generator) -> Texture:
     """Twelve marks and two hands at any time."""
     paper = rng.choice([0.95, 0.1])
-    picture, ink = _canvas(paper), 0.05 if paper > 0.5 else 0.9
-    distance, angle = np.hypot(_X - 0.5, _Y - 0.5), np.arctan2(_Y - 0.5, _X - 0.5)
+    picture, ink = canvas(paper), 0.05 if paper > 0.5 else 0.9
+    distance, angle = np.hypot(X - 0.5, Y - 0.5), np.arctan2(Y - 0.5, X - 0.5)
     mark = np.abs((angle / (np.pi / 6) + 0.5) % 1 - 0.5) < 0.12
     picture[(distance > 0.40) & (distance < 0.46) & mark] = ink
     for length, width in ((0.25, 0.03), (0.36, 0.02)):
         turn = rng.uniform(-np.pi, np.pi)
-        along = (_X - 0.5) * np.cos(turn) + (_Y - 0.5) * np.sin(turn)
-        aside = (_Y - 0.5) * np.cos(turn) - (_X - 0.5) * np.sin(turn)
+        along = (X - 0.5) * np.cos(turn) + (Y - 0.5) * np.sin(turn)
+        aside = (Y - 0.5) * np.cos(turn) - (X - 0.5) * np.sin(turn)
         picture[(along > 0) & (along < length) & (abs(aside) < width / 2)] = ink
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def whiteboard(rng: np.random.Generator) -> Texture:
     """A white board with a few strokes of a pen."""
-    picture = _canvas(0.93)
+    picture = canvas(0.93)
     for _ in range(int(rng.integers(0, 8))):
         y, x = rng.integers(20, 220, 2)
         length = int(rng.integers(20, 110))
         picture[y : y + 3, x // 2 : x // 2 + length] = colors.vivid(rng, (0.5, 1), (0.1, 0.7))
-    return _quantised(picture)
+    return quantised(picture)
 
 
 def mirror(rng: np.random.Generator) -> Texture:
     """A painted mirror: a pale gradient."""
     shade = np.linspace(0.75, 0.45, SIZE)[:, None, None]
-    return _quantised(_canvas(np.array([0.95, 1, 1])) * shade)
+    return quantised(canvas(np.array([0.95, 1, 1])) * shade)

@@ -24,7 +24,9 @@ class Part:
     """Metres along the surface, or 0..1 over the whole picture for fitted materials."""
     material: Material
 
-    def moved(self, rotation: Float[np.ndarray, "3 3"] | None = None, offset: Point = (0, 0, 0)):
+    def moved(
+        self, rotation: Float[np.ndarray, "3 3"] | None = None, offset: Point = (0, 0, 0)
+    ) -> "Part":
         """The part turned about the origin, then shifted."""
         turn = np.eye(3) if rotation is None else rotation
         vertices = self.vertices @ turn.T + np.asarray(offset, float)

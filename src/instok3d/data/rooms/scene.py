@@ -33,7 +33,7 @@ def render_scene(
     """The scene of a seed, or None where no camera path shows enough of the room.
 
     Raises:
-        ImportError: The ray tracer is not installed.
+        ModuleNotFoundError: The ray tracer is not installed.
         ValueError: The seed or the level does not exist.
     """
     streams = Streams(seed)

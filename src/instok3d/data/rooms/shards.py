@@ -60,16 +60,26 @@ def read_index(folder: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: The folder has no index.
-        ValueError: The index is not one of this format.
+        ValueError: The index is damaged, or not one of this format.
     """
     path = folder / INDEX
     if not path.is_file():
         raise FileNotFoundError(
             f"no {INDEX} in {folder}; make rooms with `instok3d data rooms -o {folder}`"
         )
-    index = json.loads(path.read_text())
+    try:
+        index = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(
+            f"{path} is damaged ({error}); delete it and make the rooms again"
+        ) from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise ValueError(f"{path} is not an index of rooms: its format is not {FORMAT!r}")
+    missing = [key for key in new_index(0, "") if key not in index]
+    if missing:
+        raise ValueError(
+            f"{path} is damaged: {', '.join(missing)} missing; delete it and make the rooms again"
+        )
     return index
 
 

@@ -1,5 +1,6 @@
 """The empty room: floor, ceiling, walls, door, windows with curtains."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -179,7 +180,14 @@ def _window_parts(make: Maker, frame: Material, hole: Opening, daylight: Number)
 class Shell:
     """Builds the empty room into a plan."""
 
-    def __init__(self, plan: Plan, streams: Streams, level: Level, room_type: str, maker):
+    def __init__(
+        self,
+        plan: Plan,
+        streams: Streams,
+        level: Level,
+        room_type: str,
+        maker: Callable[..., Maker],
+    ):
         self.plan, self.streams, self.level, self.room_type = plan, streams, level, room_type
         self.maker = maker
         self.rng = streams.child("shell")

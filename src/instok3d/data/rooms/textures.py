@@ -18,7 +18,7 @@ Noise = Float[np.ndarray, "256 256"]
 _FREQ_X, _FREQ_Y = np.meshgrid(
     np.arange(SIZE // 2 + 1, dtype=np.float32), (np.fft.fftfreq(SIZE) * SIZE).astype(np.float32)
 )
-_X, _Y = np.meshgrid(*[(np.arange(SIZE, dtype=np.float32) + 0.5) / SIZE] * 2)
+X, Y = np.meshgrid(*[(np.arange(SIZE, dtype=np.float32) + 0.5) / SIZE] * 2)
 """Position of every texel in [0, 1]: x to the right, y downwards."""
 
 
@@ -32,7 +32,8 @@ def _field(index: int, falloff: Number, across: Number, down: Number) -> Noise:
     gain[frequency < 1] = 0
     rng = np.random.default_rng([index, round(falloff * 100), round(down * 100)])
     white = rng.standard_normal((SIZE, SIZE), dtype=np.float32)
-    field = np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(white) * gain, s=(SIZE, SIZE)), np.float32)
+    spectrum = np.asarray(scipy.fft.rfft2(white)) * gain
+    field = np.asarray(scipy.fft.irfft2(spectrum, s=(SIZE, SIZE)), np.float32)
     return field / field.std()
 
 
@@ -49,25 +50,27 @@ def noise(
     return np.roll(mirror, rng.integers(SIZE, size=2), axis=(0, 1))
 
 
-def _quantised(picture: np.ndarray) -> Texture:
+def quantised(picture: np.ndarray) -> Texture:
+    """A texture of a picture in [0, 1]; what lies outside is clamped."""
     scaled = np.asarray(picture, np.float32) * np.float32(255) + np.float32(0.5)
     return np.clip(scaled, 0, 255, out=scaled).astype(np.uint8)
 
 
-def _canvas(color: Color | Number) -> np.ndarray:
+def canvas(color: Color | Number) -> Float[np.ndarray, "256 256 3"]:
+    """A picture of one colour (a number is a grey), to draw on."""
     return np.ones((SIZE, SIZE, 3), np.float32) * np.asarray(color, np.float32)
 
 
 def _shaded(color: np.ndarray, shade: np.ndarray) -> Texture:
     """A colour times 1 + shade."""
     shade = np.asarray(shade, np.float32)[..., None]
-    return _quantised(np.asarray(color, np.float32) * (1 + shade))
+    return quantised(np.asarray(color, np.float32) * (1 + shade))
 
 
 def plain(rng: np.random.Generator, color: Color, unevenness: Number = 0.01) -> Texture:
     """One colour, slightly uneven."""
     if unevenness == 0:
-        return _quantised(_canvas(color))
+        return quantised(canvas(color))
     return _shaded(color, unevenness * noise(rng, 1.5))
 
 
@@ -79,38 +82,38 @@ def paint(rng: np.random.Generator, color: Color) -> Texture:
 def wood(rng: np.random.Generator, color: Color) -> Texture:
     """Grain that runs up."""
     grain = noise(rng, 2.2, down=0.08 if rng.random() < 0.5 else 0.05)
-    rings = np.sin(2 * np.pi * (_X * rng.integers(3, 8)) + 1.2 * grain)
+    rings = np.sin(2 * np.pi * (X * rng.integers(3, 8)) + 1.2 * grain)
     return _shaded(color, 0.10 * rings + 0.05 * grain + 0.05 * noise(rng, 0.8, down=0.03))
 
 
 def planks(rng: np.random.Generator, color: Color) -> Texture:
     """Floor boards with joints."""
     columns, rows = int(rng.integers(4, 9)), int(rng.integers(1, 3))
-    column = np.floor(_X * columns).astype(int)
-    along = _Y + rng.random(columns)[column]
+    column = np.floor(X * columns).astype(int)
+    along = Y + rng.random(columns)[column]
     row = np.floor(along * rows).astype(int) % rows
     tone = rng.normal(0, 0.12, (columns, rows))[column, row]
     hue = rng.normal(0, 0.03, (columns, rows, 3))[column, row]
     grain = 0.07 * noise(rng, 2, down=0.06) + 0.04 * noise(rng, 0.8, down=0.03)
     boards = color * (1 + tone + grain)[..., None] * (1 + hue)
-    joint = ((_X * columns) % 1 < 0.035) | ((along * rows) % 1 < 0.008)
+    joint = ((X * columns) % 1 < 0.035) | ((along * rows) % 1 < 0.008)
     boards[joint] *= 0.55
-    return _quantised(boards)
+    return quantised(boards)
 
 
 def tiles(rng: np.random.Generator, color: Color, second: Color | None = None) -> Texture:
     """Square tiles with grout, chequered when a second colour is given, sometimes shifted rows."""
     count = 2 * int(rng.integers(1, 4))
-    shift = (np.floor(_Y * count) % 2) * 0.5 if rng.random() < 0.3 else 0.0
-    column = np.floor(_X * count + shift).astype(int) % count
-    row = np.floor(_Y * count).astype(int)
+    shift = (np.floor(Y * count) % 2) * 0.5 if rng.random() < 0.3 else 0.0
+    column = np.floor(X * count + shift).astype(int) % count
+    row = np.floor(Y * count).astype(int)
     odd = ((column + row) % 2)[..., None]
     base = color * (1 - odd) + (color if second is None else second) * odd
     tone = rng.normal(0, 0.03, (count, count))[column, row]
     surface = base * (1 + tone + 0.04 * noise(rng, 2.2))[..., None]
-    grout = ((_X * count + shift) % 1 < 0.025) | ((_Y * count) % 1 < 0.025)
+    grout = ((X * count + shift) % 1 < 0.025) | ((Y * count) % 1 < 0.025)
     surface[grout] = rng.uniform(0.3, 0.8)
-    return _quantised(surface)
+    return quantised(surface)
 
 
 def brick(rng: np.random.Generator) -> Texture:
@@ -118,18 +121,18 @@ def brick(rng: np.random.Generator) -> Texture:
     color = colors.hsv(
         rng.choice([0.02, 0.04, 0.08, 0.0]), rng.uniform(0.2, 0.55), rng.uniform(0.4, 0.85)
     )
-    row = np.floor(_Y * 12).astype(int)
-    along = _X * 3 + (row % 2) * 0.5
+    row = np.floor(Y * 12).astype(int)
+    along = X * 3 + (row % 2) * 0.5
     tone = rng.normal(0, 0.12, (12, 3))[row, np.floor(along).astype(int) % 3]
     surface = color * (1 + tone + 0.08 * noise(rng, 1.5))[..., None]
-    surface[(along % 1 < 0.04) | ((_Y * 12) % 1 < 0.1)] = rng.uniform(0.5, 0.8)
-    return _quantised(surface)
+    surface[(along % 1 < 0.04) | ((Y * 12) % 1 < 0.1)] = rng.uniform(0.5, 0.8)
+    return quantised(surface)
 
 
 def fabric(rng: np.random.Generator, color: Color) -> Texture:
     """Woven cloth."""
     threads = int(rng.integers(24, 64))
-    weave = np.sin(2 * np.pi * threads * _X) * np.sin(2 * np.pi * threads * _Y)
+    weave = np.sin(2 * np.pi * threads * X) * np.sin(2 * np.pi * threads * Y)
     return _shaded(color, 0.06 * weave + 0.05 * noise(rng, 0.6) + 0.05 * noise(rng, 2))
 
 
@@ -156,32 +159,32 @@ def concrete(rng: np.random.Generator, value: Number) -> Texture:
 
 
 def _stripes(rng: np.random.Generator, count: int) -> np.ndarray:
-    return np.sin(2 * np.pi * count * _X) > rng.uniform(-0.6, 0.6)
+    return np.sin(2 * np.pi * count * X) > rng.uniform(-0.6, 0.6)
 
 
 def _checks(rng: np.random.Generator, count: int) -> np.ndarray:
-    return (np.floor(_X * count * 2) + np.floor(_Y * count * 2)) % 2
+    return (np.floor(X * count * 2) + np.floor(Y * count * 2)) % 2
 
 
 def _dots(rng: np.random.Generator, count: int) -> np.ndarray:
-    radius2 = ((_X * count) % 1 - 0.5) ** 2 + ((_Y * count) % 1 - 0.5) ** 2
+    radius2 = ((X * count) % 1 - 0.5) ** 2 + ((Y * count) % 1 - 0.5) ** 2
     return radius2 < rng.uniform(0.03, 0.12)
 
 
 def _waves(rng: np.random.Generator, count: int) -> np.ndarray:
-    down = np.sin(2 * np.pi * count * _Y)
-    field = 0.5 + 0.5 * np.sin(2 * np.pi * count * _X + 2 * down) * down
+    down = np.sin(2 * np.pi * count * Y)
+    field = 0.5 + 0.5 * np.sin(2 * np.pi * count * X + 2 * down) * down
     return np.clip((field - 0.4) * 5, 0, 1)
 
 
 def _plaid(rng: np.random.Generator, count: int) -> np.ndarray:
     width = rng.uniform(0.1, 0.3)
-    return 0.5 * ((_X * count) % 1 < width) + 0.5 * ((_Y * count) % 1 < width)
+    return 0.5 * ((X * count) % 1 < width) + 0.5 * ((Y * count) % 1 < width)
 
 
 def _zigzag(rng: np.random.Generator, count: int) -> np.ndarray:
-    teeth = 0.5 * np.abs(((_X * count) % 1) * 2 - 1)
-    return np.sin(2 * np.pi * (count * _Y + teeth)) > 0
+    teeth = 0.5 * np.abs(((X * count) % 1) * 2 - 1)
+    return np.sin(2 * np.pi * (count * Y + teeth)) > 0
 
 
 PATTERNS = {"stripes": _stripes, "checks": _checks, "dots": _dots, "waves": _waves,
@@ -205,17 +208,18 @@ def rug(rng: np.random.Generator) -> Texture:
     elif kind == 1:
         picture = fabric(rng, palette[0]) / 255.0
     elif kind == 2:
-        distance = np.maximum(abs(_X - 0.5), abs(_Y - 0.5)) * 2
+        distance = np.maximum(abs(X - 0.5), abs(Y - 0.5)) * 2
         picture = palette[(distance * rng.integers(3, 9)).astype(int) % 4]
     else:
-        distance, angle = np.hypot(_X - 0.5, _Y - 0.5) * 2, np.arctan2(_Y - 0.5, _X - 0.5)
+        distance, angle = np.hypot(X - 0.5, Y - 0.5) * 2, np.arctan2(Y - 0.5, X - 0.5)
         petals = 0.3 * np.sin(angle * rng.integers(4, 12))
         picture = palette[((distance * 5 + petals) % 4).astype(int) % 4]
     picture = picture * (1 + 0.08 * noise(rng, 0.5))[..., None]
-    return _framed(picture, int(rng.integers(5, 20)), palette[3])
+    return framed(picture, int(rng.integers(5, 20)), palette[3])
 
 
-def _framed(picture: np.ndarray, width: int, color: Color | Number) -> Texture:
+def framed(picture: np.ndarray, width: int, color: Color | Number) -> Texture:
+    """A texture of a picture whose outermost `width` texels take the colour."""
     picture[:width] = picture[-width:] = color
     picture[:, :width] = picture[:, -width:] = color
-    return _quantised(picture)
+    return quantised(picture)

@@ -38,18 +38,31 @@ class Tracer(Protocol):
         ...
 
 
+def check_embree() -> None:
+    """Do nothing where rooms can be rendered.
+
+    Raises:
+        ModuleNotFoundError: The ray tracer is not installed, or its library does not load.
+    """
+    try:
+        import embreex.mesh_construction
+        import embreex.rtcore_scene  # noqa: F401
+    except ImportError as error:
+        raise ModuleNotFoundError(
+            "rendering rooms needs the ray tracer embreex; install it with "
+            "`pip install instok3d[rooms]`"
+        ) from error
+
+
 class EmbreeTracer:
     """Embree through embreex, single precision."""
 
     def __init__(self, vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]):
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise ImportError(
-                "rendering rooms needs the ray tracer embreex; install it with "
-                "`pip install instok3d[rooms]`"
-            ) from error
+        """Raises ModuleNotFoundError where embreex is not installed."""
+        check_embree()
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         self._scene = EmbreeScene()
         self._vertices = np.ascontiguousarray(vertices, np.float32)
         self._faces = np.ascontiguousarray(faces, np.int32)
