@@ -1,6 +1,7 @@
 """The record of a run: metrics.jsonl, one line on the console, curves."""
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -48,7 +49,9 @@ class RunLog:
 
     def _write(self, kind: str, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
         line = {"kind": kind, "step": step, "elapsed_s": round(elapsed_s, 1)}
-        line |= {name: float(f"{value:.6g}") for name, value in figures.items()}
+        # JSON has no NaN, which is what a figure is that nothing was there to measure.
+        finite = {name: value for name, value in figures.items() if math.isfinite(value)}
+        line |= {name: float(f"{value:.6g}") for name, value in finite.items()}
         with self.path.open("a") as stream:
             stream.write(json.dumps(line) + "\n")
 

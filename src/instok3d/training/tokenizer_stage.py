@@ -132,9 +132,9 @@ class TokenizerStage:
             figures |= {
                 f"{mode}_psnr": float(torch.cat(quality).mean()),
                 f"{mode}_seg": float(np.mean(seg)),
-                f"{mode}_ap": precision.ap or 0.0,
-                f"{mode}_ap50": precision.ap50 or 0.0,
-                f"{mode}_ap25": precision.ap25 or 0.0,
+                f"{mode}_ap": precision.ap,
+                f"{mode}_ap50": precision.ap50,
+                f"{mode}_ap25": precision.ap25,
                 f"{mode}_groups": float(np.mean(used)),
             }
         return figures
