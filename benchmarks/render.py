@@ -168,18 +168,20 @@ def two_threads(scene: dict[str, Any], channels: int, repeats: int) -> float:
 
 
 def random_gaussians(*lead: int, count: int, anchors: int, generator: torch.Generator) -> Gaussians:
-    """Gaussians with the statistics of the authors': faint, and some pixels wide."""
+    """Gaussians with the statistics of the authors': faint, some pixels wide, around anchors."""
 
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(*lead, *shape, generator=generator)
 
+    index = (torch.arange(count) * anchors // count).expand(*lead, count).contiguous()
+    centers = normal(anchors, 3) * torch.tensor([0.8, 0.8, 0.5]) + torch.tensor([0.0, 0.0, 2.5])
     return Gaussians(
-        means=normal(count, 3) * torch.tensor([0.8, 0.8, 0.5]) + torch.tensor([0.0, 0.0, 2.5]),
+        means=centers[..., index.view(-1, count)[0], :] + 0.05 * normal(count, 3),
         quats=functional.normalize(normal(count, 4), dim=-1),
         scales=(normal(count, 3) - 3.8).exp() * (32768 / count) ** (1 / 3),
         opacities=(normal(count) * 1.5 - 2).sigmoid(),
         sh=normal(count, 1, 3) * 0.5,
-        anchor_index=(torch.arange(count) * anchors // count).expand(*lead, count).contiguous(),
+        anchor_index=index,
     )
 
 

@@ -34,21 +34,39 @@ void sort_by_key(int n, std::uint32_t* keys, std::int32_t* order, std::uint32_t*
   std::memcpy(other_order, order, n * sizeof *order);  // three passes end in the other array
 }
 
+// Rounding by hand: without SSE 4.1, ceil and floor are calls.
 int first_pixel(float edge, int size) {
-  return static_cast<int>(std::ceil(std::clamp(edge - 0.5f, 0.f, float(size))));
+  const float at = std::clamp(edge - 0.5f, 0.f, float(size));
+  const int below = static_cast<int>(at);
+  return below + (float(below) < at);
 }
 int last_pixel(float edge, int size) {
-  return static_cast<int>(std::floor(std::clamp(edge - 0.5f, -1.f, float(size - 1))));
+  return static_cast<int>(std::clamp(edge + 0.5f, 0.f, float(size))) - 1;
 }
 
-// Calls `visit` with the columns [a, b] of each row of tiles whose pixel centres the ellipse
-// {alpha >= alpha_min} can reach.
-template <class Visit>
-void visit_tiles(const Record& r, int height, int width, Visit&& visit) {
-  const int x0 = first_pixel(r.x - r.extent_x, width), x1 = last_pixel(r.x + r.extent_x, width);
-  const int y0 = first_pixel(r.y - r.extent_y, height), y1 = last_pixel(r.y + r.extent_y, height);
-  if (x0 > x1 || y0 > y1) return;
-  if (x0 / TILE == x1 / TILE && y0 / TILE == y1 / TILE) return visit(y0 / TILE, x0 / TILE, x0 / TILE);
+// The pixels around an ellipse.
+struct Box {
+  int x0, x1, y0, y1;  // pixels, both ends included
+  bool empty() const { return x0 > x1 || y0 > y1; }
+  int tiles() const {
+    return empty() ? 0 : (x1 / TILE - x0 / TILE + 1) * (y1 / TILE - y0 / TILE + 1);
+  }
+};
+
+// Writes the tiles whose pixel centres the ellipse {alpha >= alpha_min} can reach, counts them in
+// `totals`, and returns the end. There must be room for all tiles of the box.
+std::int32_t* write_tiles(const Record& r, const Box& box, int width, int tiles_x,
+                          std::int32_t* totals, std::int32_t* to) {
+  const auto write = [&](int row, int a, int b) {
+    for (int tile = row * tiles_x + a; tile <= row * tiles_x + b; ++tile) {
+      ++totals[tile];
+      *to++ = tile;
+    }
+  };
+  if (box.tiles() <= 1) {
+    if (!box.empty()) write(box.y0 / TILE, box.x0 / TILE, box.x0 / TILE);
+    return to;
+  }
   const float widest = r.reach / (r.xx * (-2 / LOG2E));  // squared half width at the mean
   const float inverse_extent = 1 / r.extent_y;
   const auto half_width = [&](float dy) {
@@ -56,7 +74,7 @@ void visit_tiles(const Record& r, int height, int width, Visit&& visit) {
     return std::sqrt(std::max(0.f, widest * (1 - t * t)));
   };
   const float dy_rightmost = r.y_per_x * r.extent_x;
-  for (int row = y0 / TILE; row <= y1 / TILE; ++row) {
+  for (int row = box.y0 / TILE; row <= box.y1 / TILE; ++row) {
     const float low = std::max(row * TILE + 0.5f - r.y, -r.extent_y);
     const float high = std::min(row * TILE + TILE - 0.5f - r.y, r.extent_y);
     if (low > high) continue;
@@ -68,10 +86,11 @@ void visit_tiles(const Record& r, int height, int width, Visit&& visit) {
     const float left = -dy_rightmost >= low && -dy_rightmost <= high
                            ? -r.extent_x
                            : std::min(low_center - low_half, high_center - high_half);
-    const int a = std::max(x0, first_pixel(r.x + left - 1e-2f, width));
-    const int b = std::min(x1, last_pixel(r.x + right + 1e-2f, width));
-    if (a <= b) visit(row, a / TILE, b / TILE);
+    const int a = std::max(box.x0, first_pixel(r.x + left - 1e-2f, width));
+    const int b = std::min(box.x1, last_pixel(r.x + right + 1e-2f, width));
+    if (a <= b) write(row, a / TILE, b / TILE);
   }
+  return to;
 }
 
 }  // namespace
@@ -88,7 +107,6 @@ void Bins::sort() {
   const Buffer keys(bytes), other_keys(bytes), other_order(bytes);
   auto* key = keys.as<std::uint32_t>();
   auto* order = order_.as<std::int32_t>();
-  std::memset(first_.as<void>(), 0, bytes);
   std::memset(count_.as<void>(), 0, bytes);
   visible_ = 0;
   for (int g = 0; g < gaussians_; ++g) {
@@ -105,32 +123,33 @@ void Bins::count(int chunk, int chunks) {
   Chunk& c = chunks_[chunk];
   const int begin = std::int64_t(visible_) * chunk / chunks;
   const int end = std::int64_t(visible_) * (chunk + 1) / chunks;
-  c.tiles.clear();
-  c.tiles.reserve(std::size_t(end - begin) * 8);
+  std::size_t written = 0;
+  c.tiles.resize(std::max(c.tiles.size(), std::size_t(end - begin) * 8));
   c.totals.assign(tiles_, 0);
   for (int rank = begin; rank < end; ++rank) {
     const int g = order_.as<std::int32_t>()[rank];
-    const std::size_t before = c.tiles.size();
-    visit_tiles(records()[g], height_, width_, [&](int row, int a, int b) {
-      for (int tile = row * tiles_x_ + a; tile <= row * tiles_x_ + b; ++tile) {
-        ++c.totals[tile];
-        c.tiles.push_back(tile);
-      }
-    });
-    count_.as<std::int32_t>()[g] = static_cast<std::int32_t>(c.tiles.size() - before);
+    const Record& r = records()[g];
+    const Box box = {first_pixel(r.x - r.extent_x, width_), last_pixel(r.x + r.extent_x, width_),
+                     first_pixel(r.y - r.extent_y, height_),
+                     last_pixel(r.y + r.extent_y, height_)};
+    if (written + box.tiles() > c.tiles.size()) c.tiles.resize(2 * (written + box.tiles()));
+    std::int32_t* from = c.tiles.data() + written;
+    const std::int32_t* end_of_g =
+        write_tiles(r, box, width_, tiles_x_, c.totals.data(), from);
+    count_.as<std::int32_t>()[g] = static_cast<std::int32_t>(end_of_g - from);
+    written += end_of_g - from;
   }
 }
 
 void Bins::scan(int chunks) {
   std::int64_t total = 0;
-  for (const Chunk& chunk : chunks_) total += static_cast<std::int64_t>(chunk.tiles.size());
+  for (int g = 0; g < gaussians_; ++g) total += emission_count()[g];
   if (total > INT32_MAX - PADDING) {
     throw std::length_error("more than 2^31 pairs of a Gaussian and a tile in one picture; render "
                             "fewer or smaller Gaussians, or a smaller picture");
   }
   std::int32_t emission = 0;
-  for (int rank = 0; rank < visible_; ++rank) {
-    const int g = order_.as<std::int32_t>()[rank];
+  for (int g = 0; g < gaussians_; ++g) {
     first_.as<std::int32_t>()[g] = emission;
     emission += emission_count()[g];
   }

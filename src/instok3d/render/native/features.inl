@@ -4,6 +4,8 @@
 
 namespace {
 
+constexpr int PLANES_AHEAD = 4;  // channels by which images are fetched early
+
 // Lists the anchors of the tile that touch a quarter.
 inline int active_slots(Scratch& s, int slots, int quarter) {
   int count = 0;
@@ -66,6 +68,13 @@ inline void load_feature_gradients(const Inputs& in, const Place& place, const f
     Lanes sum[4] = {all(0.f), all(0.f), all(0.f), all(0.f)}, blocks[4];
     for (int channel = 0; channel < in.channels; ++channel) {
       Lanes grad[4], map[4];
+      if (place.whole) {
+        const std::int64_t ahead = (channel + PLANES_AHEAD) * place.plane + 4 * quarter * place.row;
+        for (int i = 0; i < 4; ++i) {
+          __builtin_prefetch(grads + ahead + i * place.row);
+          __builtin_prefetch(maps + ahead + i * place.row);
+        }
+      }
       get_rows(place, grads + channel * place.plane, quarter, grad);
       get_rows(place, maps + channel * place.plane, quarter, map);
       for (int i = 0; i < 4; ++i) sum[i] = fma(grad[i], map[i], sum[i]);
