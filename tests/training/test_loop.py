@@ -10,14 +10,10 @@ from toy_stage import TINY, ToyStage
 from fake_rooms import FakeRooms
 from instok3d.data.batches import RoomBatches
 from instok3d.training.checkpoint import read_checkpoint
-from instok3d.training.loop import (
-    NonFiniteLossError,
-    parameter_groups,
-    split_scenes,
-    train,
-    validation_samples,
-)
+from instok3d.training.held_out import split_scenes, validation_samples
+from instok3d.training.loop import train
 from instok3d.training.run_log import read_metrics
+from instok3d.training.update import NonFiniteLossError, parameter_groups
 
 ROOMS = FakeRooms(5, size=16)
 

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import torch
-from torch import nn
 
-from instok3d.data.batches import RoomBatches, SceneSource, make_sample
-from instok3d.data.sample import Sample, collate
-from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
+from instok3d.data.batches import RoomBatches
+from instok3d.data.sample import Sample
 from instok3d.files import replacing
 from instok3d.training.checkpoint import (
     RunState,
@@ -25,19 +23,12 @@ from instok3d.training.checkpoint import (
     save_checkpoint,
 )
 from instok3d.training.config import TrainConfig, to_json, write_config
+from instok3d.training.held_out import SeededSource, split_scenes, validation_samples
 from instok3d.training.plots import plot_curves
-from instok3d.training.run_log import RunLog
+from instok3d.training.run_log import RunLog, RunningMeans
 from instok3d.training.schedule import learning_rate
-from instok3d.training.stages import Stage, StepLoss
-
-
-@runtime_checkable
-class SeededSource(SceneSource, Protocol):
-    """A data set that knows the seed of each of its scenes without reading it."""
-
-    def seed_of(self, number: int, /) -> int:
-        """What scene `number` was made from."""
-        ...
+from instok3d.training.stages import Stage
+from instok3d.training.update import new_state, train_step
 
 
 @dataclass(frozen=True)
@@ -46,10 +37,6 @@ class TrainOutcome:
 
     step: int
     reason: Literal["finished", "time limit", "interrupted"]
-
-
-class NonFiniteLossError(RuntimeError):
-    """The loss or the gradient is not finite; the update was not made and the batch is saved."""
 
 
 def train(
@@ -167,86 +154,6 @@ def train(
     raise AssertionError("batches never end")
 
 
-def new_state(config: TrainConfig, stage: Stage) -> RunState:
-    """Model, optimizer and average before the first step."""
-    model = stage.build_model().to(config.device)
-    optimizer = torch.optim.AdamW(
-        parameter_groups(model, config.weight_decay),
-        lr=config.lr,
-        betas=config.betas,
-        fused=True,  # one kernel for all tensors; the default loops over a few hundred
-    )
-    return RunState(model, optimizer, WeightAverage(model, config.ema_decay))
-
-
-def parameter_groups(model: nn.Module, weight_decay: float) -> list[dict]:
-    """Trained parameters in two groups: decayed weights of linear maps, and all others."""
-    linear = (nn.Linear, nn.modules.conv._ConvNd)
-    decayed = {id(m.weight) for m in model.modules() if isinstance(m, linear)}
-    trained = [p for p in model.parameters() if p.requires_grad]
-    return [
-        {"params": [p for p in trained if id(p) in decayed], "weight_decay": weight_decay},
-        {"params": [p for p in trained if id(p) not in decayed], "weight_decay": 0.0},
-    ]
-
-
-def train_step(
-    config: TrainConfig,
-    stage: Stage,
-    state: RunState,
-    sample: Sample,
-    rate: float,
-    folder: Path,
-) -> dict[str, float]:
-    """One update; the figures of its batch.
-
-    A finite loss whose gradient is not finite (a degenerate 3x3 SVD, say) leaves the weights
-    as they are and is counted.
-
-    Raises:
-        NonFiniteLossError: The loss is not finite, or too many gradients in a row were not.
-    """
-    model, optimizer = state.model, state.optimizer
-    model.train()
-    with torch.autocast(sample.context.images.device.type, torch.bfloat16, enabled=config.amp):
-        loss = stage.loss(model, sample, state.step)
-    if not loss.total.isfinite():
-        raise NonFiniteLossError(_save_bad_batch(state, sample, folder, loss))
-    optimizer.zero_grad(set_to_none=True)
-    loss.total.backward()
-    trained = [p for p in model.parameters() if p.requires_grad]
-    norm = nn.utils.clip_grad_norm_(trained, config.clip_norm)
-    if norm.isfinite():
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        optimizer.step()
-        state.average.update(model, state.step)
-        state.skipped_in_a_row = 0
-    else:
-        state.skipped += 1
-        state.skipped_in_a_row += 1
-        if state.skipped_in_a_row >= config.max_skipped_in_a_row:
-            raise NonFiniteLossError(_save_bad_batch(state, sample, folder, loss))
-    figures = {"loss": loss.total.item(), **{k: v.item() for k, v in loss.terms.items()}}
-    if norm.isfinite():
-        figures["grad_norm"] = norm.item()
-    return figures | ({"skipped": float(state.skipped)} if state.skipped else {})
-
-
-def _save_bad_batch(state: RunState, sample: Sample, folder: Path, loss: StepLoss) -> str:
-    path = folder / f"bad_batch_{state.step:08d}.pt"
-    views = {"context": vars(sample.context), "target": vars(sample.target)}
-    ids = {"context": sample.context_instances, "target": sample.target_instances}
-    content = {"step": state.step, "names": list(sample.names), "instances": ids, **views}
-    with replacing(path) as part:
-        torch.save(content, part)
-    terms = {name: round(value.item(), 6) for name, value in loss.terms.items()}
-    return (
-        f"loss {loss.total.item():.4g} or its gradient is not finite at step {state.step} "
-        f"(terms {terms}); the update was not made, the batch is in {path}"
-    )
-
-
 @torch.no_grad()
 def validate(
     config: TrainConfig,
@@ -280,67 +187,6 @@ def validate(
     with replacing(path) as part:
         picture.save(part)
     return figures
-
-
-def split_scenes(
-    source: SeededSource, seeds: list[int], holdout: int
-) -> tuple[list[int], list[int]]:
-    """Scene numbers to hold out (the first `holdout` of the seeds) and to train on.
-
-    Raises:
-        ValueError: Nothing is left to train on, or a scene of the run is no longer there.
-    """
-    if len(seeds) <= holdout:
-        raise ValueError(
-            f"the data set has {len(seeds)} scenes and {holdout} are held out: make more rooms"
-        )
-    place = {source.seed_of(number): number for number in range(len(source))}
-    missing = [seed for seed in seeds if seed not in place]
-    if missing:
-        raise ValueError(
-            f"the run was started with {len(missing)} scenes that the data set no longer has, "
-            f"the first is seed {missing[0]}"
-        )
-    indices = [place[seed] for seed in seeds]
-    return indices[:holdout], indices[holdout:]
-
-
-def validation_samples(
-    source: SceneSource, scenes: list[int], views: int, batch_size: int = 4
-) -> list[Sample]:
-    """The same frames of the same scenes every time, in batches.
-
-    Raises:
-        ValueError: There is no protocol for this number of views.
-    """
-    if views not in (2, 8):
-        raise ValueError(f"validation_views must hold 2 or 8, got {views}")
-    singles = []
-    for index in scenes:
-        scene = source.scene(index)
-        protocol = two_view_protocol if views == 2 else eight_view_protocol
-        singles.append(make_sample(scene, protocol(len(scene.images))))
-    size = max(1, batch_size * 2 // views)
-    return [collate(singles[k : k + size]) for k in range(0, len(singles), size)]
-
-
-class RunningMeans:
-    """Means of each figure since they were last taken."""
-
-    def __init__(self) -> None:
-        self._sums: dict[str, tuple[float, int]] = {}
-
-    def add(self, figures: dict[str, float]) -> None:
-        """Count one more value of each figure."""
-        for name, value in figures.items():
-            total, count = self._sums.get(name, (0.0, 0))
-            self._sums[name] = (total + value, count + 1)
-
-    def take(self) -> dict[str, float]:
-        """The means, and begin again."""
-        means = {name: total / count for name, (total, count) in self._sums.items()}
-        self._sums = {}
-        return means
 
 
 @contextmanager
