@@ -5,7 +5,7 @@ import torch
 
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry, sharpen
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry, find_peaks
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16)
@@ -82,13 +82,20 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
     torch.testing.assert_close(cameras[0, 1], expected, atol=2e-2, rtol=0)
 
 
-def test_sharpened_match_lies_between_the_cells_of_the_peak_and_ignores_far_ones():
-    # A row of 9 cells: 0.3 and 0.3 at cells 2 and 3, 0.25 far away at cell 8.
-    probability = torch.zeros(1, 1, 9)
+def test_peak_lies_between_its_cells_and_ignores_far_ones():
+    # A row of 9 cells: 0.3 and 0.3 at cells 2 and 3, 0.25 far away at cell 8, 0.15 not seen.
+    probability = torch.full((1, 1, 9), 1e-9)
     probability[..., 2], probability[..., 3], probability[..., 8] = 0.3001, 0.3, 0.25
-    share, trust = sharpen(probability, columns=9)
-    torch.testing.assert_close(share @ torch.arange(9.0), torch.tensor([[2.5]]), atol=1e-3, rtol=0)
-    torch.testing.assert_close(trust, torch.tensor([[0.6001]]))
+    peak = find_peaks(probability.log(), torch.zeros(1, 1), columns=9)
+    place = torch.arange(9.0)[None, :, None]
+    torch.testing.assert_close(peak.mean(place), torch.tensor([[[2.5]]]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(peak.trust, torch.tensor([[0.6001]]))
+
+
+def test_window_at_a_corner_stays_inside():
+    peak = find_peaks(torch.zeros(1, 4, 4), torch.full((1, 4), 4.0).log(), columns=2)
+    # All four cells of the 2x2 image are in every window, none counted twice.
+    torch.testing.assert_close(peak.trust, torch.ones(1, 4))
 
 
 def test_match_probabilities_leave_room_for_not_seen(backbone, rng):

@@ -8,7 +8,7 @@ for from matches is learned far faster than one that is regressed from a token.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -258,16 +258,15 @@ class NanoBackbone(GeometryBackbone):
         intrinsics: Float[Tensor, "batch view 3 3"],
     ) -> Float[Tensor, "batch view 4 4"]:
         """cam_from_first of every view: the pairs along the tree of best matches, composed."""
-        scores = self.overlap_scores(raw)
-        scenes = []
-        for scene, table in enumerate(scores):
-            edges = spanning_tree(table)
-            steps = {}
-            for a, b in edges:
-                one = slice(scene, scene + 1)
-                matches = self.match_views(raw, depths, intrinsics, a, b, one)
-                steps[a, b] = register_pair(*matches)[0]
-            scenes.append(compose_along_tree(steps, edges).to(depths))
+        trees = [spanning_tree(table) for table in self.overlap_scores(raw)]
+        steps: list[dict[tuple[int, int], Tensor]] = [{} for _ in trees]
+        # Every tree has one edge fewer than there are views: the n-th ones of all scenes together.
+        for edges in zip(*trees, strict=True):
+            parents, children = torch.tensor(edges, device=depths.device).unbind(-1)
+            solved = register_pair(*self.match_views(raw, depths, intrinsics, parents, children))
+            for scene, edge in enumerate(edges):
+                steps[scene][edge] = solved[scene]
+        scenes = [compose_along_tree(*scene).to(depths) for scene in zip(steps, trees, strict=True)]
         return torch.stack(scenes)
 
     @torch.no_grad()
@@ -293,26 +292,26 @@ class NanoBackbone(GeometryBackbone):
         raw: RawGeometry,
         depths: Float[Tensor, "batch view height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
-        a: int,
-        b: int,
-        scenes: slice,
+        views_a: Int[Tensor, " batch"],
+        views_b: Int[Tensor, " batch"],
     ) -> tuple[Tensor, ...]:
         """Both directions of the matches of two views, in the order register_pair takes them."""
-        points, rays = [], []
-        for view in (a, b):
-            fine = depths[scenes, view, None].log()
+        scenes = torch.arange(len(views_a), device=depths.device)
+        points, rays, descriptors = [], [], []
+        for views in (views_a, views_b):
+            fine = depths[scenes, views, None].log()
             coarse = functional.avg_pool2d(fine, MATCH_STRIDE)[:, 0].exp()
-            directions = _cell_rays(intrinsics[scenes, view], depths.shape[-2:])
+            directions = _cell_rays(intrinsics[scenes, views], depths.shape[-2:])
             points.append((directions * coarse[..., None]).flatten(1, 2))
             rays.append(directions[..., :2].flatten(1, 2))
+            descriptors.append(raw.descriptors[scenes, views])
+        logits, total_a = self.match(descriptors[0], descriptors[1])
+        total_b = torch.logaddexp(logits.logsumexp(dim=1), self.no_match())
         columns = depths.shape[-1] // MATCH_STRIDE
         ways = []
-        for here, there in ((0, 1), (1, 0)):
-            views = (a, b) if here == 0 else (b, a)
-            descriptors = raw.descriptors[scenes]
-            logits, total = self.match(descriptors[:, views[0]], descriptors[:, views[1]])
-            share, trust = sharpen((logits - total[..., None]).exp(), columns)
-            ways += [points[here], share @ rays[there], share @ points[there], trust]
+        for here, there, table, total in ((0, 1, logits, total_a), (1, 0, logits.mT, total_b)):
+            peak = find_peaks(table, total, columns)
+            ways += [points[here], peak.mean(rays[there]), peak.mean(points[there]), peak.trust]
         return tuple(ways)
 
     def _positions(self, views: Views, rows: int, columns: int) -> Tensor:
@@ -339,19 +338,50 @@ def _cell_rays(intrinsics: Tensor, size: tuple[int, int] | torch.Size) -> Tensor
     return pixel_rays(scaled, size[0] // MATCH_STRIDE, size[1] // MATCH_STRIDE)
 
 
-def sharpen(probability: Tensor, columns: int, radius: int = 2) -> tuple[Tensor, Tensor]:
-    """Match probabilities cut to a window around the best cell, and the trust in each match.
+@dataclass(frozen=True)
+class Peaks:
+    """The cells around the best match of each cell, with their shares."""
 
-    The mean over a window around the peak lies between cells and is not drawn away by other
-    modes. The trust is the probability in the window.
+    cells: Int[Tensor, "batch cell window"]
+    shares: Float[Tensor, "batch cell window"]
+    """Sum to 1."""
+    trust: Float[Tensor, "batch cell"]
+    """Probability that the match lies in the window."""
+
+    def mean(
+        self, values: Float[Tensor, "batch other channel"]
+    ) -> Float[Tensor, "batch cell channel"]:
+        """Mean of the values of the other view's cells, weighted by the shares."""
+        chosen = values.gather(1, self.cells.flatten(1)[..., None].expand(-1, -1, values.shape[-1]))
+        return (chosen.unflatten(1, self.cells.shape[1:]) * self.shares[..., None]).sum(-2)
+
+
+def find_peaks(
+    logits: Float[Tensor, "batch cell other"],
+    total: Float[Tensor, "batch cell"],
+    columns: int,
+    radius: int = 2,
+) -> Peaks:
+    """The window of cells around the best match of each cell.
+
+    The mean over a window lies between cells, and other modes far away do not draw it aside.
+
+    Args:
+        logits: Of each cell to lie at each cell of the other view.
+        total: Logarithm of the sum of the exponentials, as NanoBackbone.match gives it.
+        columns: Of the other view's cells.
+        radius: Cells on each side of the best one.
     """
-    best = probability.argmax(dim=-1)
-    cell = torch.arange(probability.shape[-1], device=probability.device)
-    near_x = (cell % columns - (best % columns)[..., None]).abs() <= radius
-    near_y = (cell // columns - (best // columns)[..., None]).abs() <= radius
-    window = probability * (near_x & near_y)
+    rows = logits.shape[-1] // columns
+    best = logits.argmax(dim=-1, keepdim=True)
+    reach = torch.arange(-radius, radius + 1, device=logits.device)
+    row = best // columns + reach.repeat_interleave(len(reach))
+    column = best % columns + reach.repeat(len(reach))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cells = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+    window = (logits.gather(-1, cells) - total[..., None]).exp() * inside
     trust = window.sum(-1)
-    return window / trust.clamp_min(1e-9)[..., None], trust
+    return Peaks(cells, window / trust.clamp_min(1e-9)[..., None], trust)
 
 
 def _fill_unknown(given: Tensor, predicted: Tensor) -> Tensor:
