@@ -5,7 +5,8 @@ import torch
 
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry, find_peaks
+from instok3d.model.backbone.matching import find_peaks
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16)

@@ -19,6 +19,8 @@ from instok3d.geometry.cameras import (
 )
 from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.model.backbone.matching import find_peaks
+from instok3d.model.backbone.nano_layers import SelfAttentionBlock, Stem, Unshuffle
 from instok3d.types import Geometry, Views
 
 MATCH_STRIDE = 4
@@ -39,80 +41,6 @@ class NanoConfig:
     """Channels of a descriptor."""
     typical_field_of_view_rad: float = 1.05
     """What an image of unknown intrinsics is taken for before the focal head corrects it."""
-
-
-class SelfAttentionBlock(nn.Module):
-    """Pre-norm self-attention with normalised queries and keys, then an MLP."""
-
-    def __init__(self, width: int, head_width: int) -> None:
-        super().__init__()
-        self.head_width = head_width
-        self.norm_attention = nn.LayerNorm(width)
-        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
-        self.norm_query = nn.LayerNorm(head_width)
-        self.norm_key = nn.LayerNorm(head_width)
-        self.project = nn.Linear(width, width)
-        self.norm_mlp = nn.LayerNorm(width)
-        self.expand = nn.Linear(width, 4 * width)
-        self.contract = nn.Linear(4 * width, width)
-
-    def forward(
-        self, tokens: Float[Tensor, "sequence token channel"]
-    ) -> Float[Tensor, "sequence token channel"]:
-        """The tokens after they have seen each other."""
-        sequences, count, width = tokens.shape
-        mixed = self.query_key_value(self.norm_attention(tokens))
-        query, key, value = mixed.view(sequences, count, 3, -1, self.head_width).unbind(2)
-        query = self.norm_query(query).to(value.dtype).transpose(1, 2)
-        key = self.norm_key(key).to(value.dtype).transpose(1, 2)
-        seen = functional.scaled_dot_product_attention(query, key, value.transpose(1, 2))
-        tokens = tokens + self.project(seen.transpose(1, 2).reshape(sequences, count, width))
-        hidden = functional.gelu(self.expand(self.norm_mlp(tokens)))
-        return tokens + self.contract(hidden)
-
-
-def _convolve(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels_in, channels_out, 3, stride, 1),
-        nn.GroupNorm(max(1, channels_out // 16), channels_out),
-        nn.GELU(),
-    )
-
-
-class Stem(nn.Module):
-    """Images to features at strides 2, 4 and 8."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.stride2 = nn.Sequential(_convolve(3, 32, 2), _convolve(32, 48))
-        self.stride4 = nn.Sequential(_convolve(48, 96, 2), _convolve(96, 96))
-        self.stride8 = nn.Conv2d(96, width, 3, 2, 1)
-
-    def forward(
-        self, images: Float[Tensor, "image 3 height width"]
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Features [image, 48, h/2, w/2], [image, 96, h/4, w/4], [image, width, h/8, w/8]."""
-        half = self.stride2(images)
-        quarter = self.stride4(half)
-        return half, quarter, self.stride8(quarter)
-
-
-class Unshuffle(nn.Module):
-    """Doubles the resolution: a linear map to 2x2 sub-positions plus a skip, then a convolution."""
-
-    def __init__(self, channels_in: int, channels_skip: int, channels_out: int) -> None:
-        super().__init__()
-        self.up = nn.Conv2d(channels_in, 4 * channels_out, 1)
-        self.skip = nn.Conv2d(channels_skip, channels_out, 1)
-        self.mix = _convolve(channels_out, channels_out)
-
-    def forward(
-        self,
-        coarse: Float[Tensor, "image coarse_channel h w"],
-        skip: Float[Tensor, "image skip_channel 2*h 2*w"],
-    ) -> Float[Tensor, "image channel 2*h 2*w"]:
-        """Features at the resolution of the skip."""
-        return self.mix(functional.pixel_shuffle(self.up(coarse), 2) + self.skip(skip))
 
 
 @dataclass(frozen=True)
@@ -336,52 +264,6 @@ def _cell_rays(intrinsics: Tensor, size: tuple[int, int] | torch.Size) -> Tensor
     scaled = intrinsics.clone()
     scaled[:, :2] = scaled[:, :2] / MATCH_STRIDE
     return pixel_rays(scaled, size[0] // MATCH_STRIDE, size[1] // MATCH_STRIDE)
-
-
-@dataclass(frozen=True)
-class Peaks:
-    """The cells around the best match of each cell, with their shares."""
-
-    cells: Int[Tensor, "batch cell window"]
-    shares: Float[Tensor, "batch cell window"]
-    """Sum to 1."""
-    trust: Float[Tensor, "batch cell"]
-    """Probability that the match lies in the window."""
-
-    def mean(
-        self, values: Float[Tensor, "batch other channel"]
-    ) -> Float[Tensor, "batch cell channel"]:
-        """Mean of the values of the other view's cells, weighted by the shares."""
-        chosen = values.gather(1, self.cells.flatten(1)[..., None].expand(-1, -1, values.shape[-1]))
-        return (chosen.unflatten(1, self.cells.shape[1:]) * self.shares[..., None]).sum(-2)
-
-
-def find_peaks(
-    logits: Float[Tensor, "batch cell other"],
-    total: Float[Tensor, "batch cell"],
-    columns: int,
-    radius: int = 2,
-) -> Peaks:
-    """The window of cells around the best match of each cell.
-
-    The mean over a window lies between cells, and other modes far away do not draw it aside.
-
-    Args:
-        logits: Of each cell to lie at each cell of the other view.
-        total: Logarithm of the sum of the exponentials, as NanoBackbone.match gives it.
-        columns: Of the other view's cells.
-        radius: Cells on each side of the best one.
-    """
-    rows = logits.shape[-1] // columns
-    best = logits.argmax(dim=-1, keepdim=True)
-    reach = torch.arange(-radius, radius + 1, device=logits.device)
-    row = best // columns + reach.repeat_interleave(len(reach))
-    column = best % columns + reach.repeat(len(reach))
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    cells = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
-    window = (logits.gather(-1, cells) - total[..., None]).exp() * inside
-    trust = window.sum(-1)
-    return Peaks(cells, window / trust.clamp_min(1e-9)[..., None], trust)
 
 
 def _fill_unknown(given: Tensor, predicted: Tensor) -> Tensor:
