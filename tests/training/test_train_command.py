@@ -14,8 +14,21 @@ SMALL = [
 
 
 @pytest.fixture(autouse=True)
-def _rooms(monkeypatch):
-    monkeypatch.setattr("instok3d.cli.train.RoomDataset", lambda folder: FakeRooms(3, size=32))
+def asked_seeds(monkeypatch) -> list[range]:
+    asked = []
+
+    def rooms(folder, seeds):
+        asked.append(seeds)
+        return FakeRooms(3, size=32)
+
+    monkeypatch.setattr("instok3d.cli.train.RoomDataset", rooms)
+    return asked
+
+
+def test_validation_and_test_rooms_are_never_trained_on(tmp_path, asked_seeds):
+    run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path)]
+    assert main([*run, "--steps", "1", *SMALL]) == 0
+    assert asked_seeds == [range(1_000_000)]
 
 
 def test_geometry_run_and_its_continuation(tmp_path, capsys):

@@ -10,6 +10,7 @@ import torch
 from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.data.rooms import RoomDataset
+from instok3d.data.rooms.seeding import split_seeds
 from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
 from instok3d.training.export import export_model
 from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
@@ -22,7 +23,7 @@ class RunArguments:
     """Where a run reads and writes."""
 
     data: Path
-    """Folder of rooms (instok3d data rooms)."""
+    """Folder of rooms (instok3d data rooms); only those of the training split are used."""
     output: Annotated[Path, arg(aliases=["-o"])]
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
     resume: bool = False
@@ -68,7 +69,7 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
     outcome = train(
         config,
         stage,
-        RoomDataset(arguments.data),
+        RoomDataset(arguments.data, split_seeds("train")),
         arguments.output,
         resume=arguments.resume,
         add_rooms=arguments.add_rooms,

@@ -10,6 +10,13 @@ GENERATOR_VERSION = 1
 SPLIT_STARTS = {"train": 0, "val": 1_000_000, "test": 2_000_000, "transfer": 3_000_000}
 """First seed of each split; each has a million. Only transfer rooms hold the held-out content."""
 
+SPLIT_SIZE = 1_000_000
+
+
+def split_seeds(split: str) -> range:
+    """All seeds of a split."""
+    return range(SPLIT_STARTS[split], SPLIT_STARTS[split] + SPLIT_SIZE)
+
 
 def split_of(seed: int) -> str:
     """The split that a seed belongs to: train, val, test or transfer.
@@ -17,9 +24,9 @@ def split_of(seed: int) -> str:
     Raises:
         ValueError: The seed is outside 0 to 3,999,999.
     """
-    if not 0 <= seed < 4_000_000:
+    if not 0 <= seed < len(SPLIT_STARTS) * SPLIT_SIZE:
         raise ValueError(f"seed {seed} is outside 0 to 3,999,999: no split has it")
-    return list(SPLIT_STARTS)[seed // 1_000_000]
+    return list(SPLIT_STARTS)[seed // SPLIT_SIZE]
 
 
 class Streams:
