@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# The default model from nothing: rooms, geometry, tokenizer, export, figures.
+#
+#     bash runs/default_model.sh FOLDER
+#
+# Everything goes into FOLDER, the model into FOLDER/default_model.safetensors. Stop it at any time
+# and run it again: finished rooms are kept and training goes on from the newest checkpoint.
+# Times on TODO-RESULT: rooms TODO-RESULT h, geometry TODO-RESULT h, tokenizer TODO-RESULT h,
+# evaluation TODO-RESULT h.
+set -euo pipefail
+
+folder=${1:?"give the folder for rooms, runs and the model"}
+train_seeds=0:2000
+test_seeds=2000000:2000100
+workers=2
+seed=0
+geometry_steps=3600
+geometry_lr=6e-4
+geometry_warmup_steps=200
+geometry_views="2 2 2 2 2 3 4 8"
+tokenizer_steps=8000
+notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
+
+mkdir -p "$folder"
+resume_of() { if compgen -G "$1/checkpoints/step_*.pt" >/dev/null; then echo --resume; fi; }
+
+instok3d data rooms -o "$folder/rooms" --seeds "$train_seeds" --workers "$workers"
+instok3d data rooms -o "$folder/rooms-test" --seeds "$test_seeds" --workers "$workers"
+
+# shellcheck disable=SC2046,SC2086  # words on purpose: no flag or one, and a list of numbers
+instok3d train nano-geometry --data "$folder/rooms" -o "$folder/geometry" --seed "$seed" \
+    --steps "$geometry_steps" --lr "$geometry_lr" --warmup-steps "$geometry_warmup_steps" \
+    --batches.views $geometry_views $(resume_of "$folder/geometry")
+# shellcheck disable=SC2046
+instok3d train nano-tokenizer --data "$folder/rooms" -o "$folder/tokenizer" --seed "$seed" \
+    --steps "$tokenizer_steps" --init-from "$folder/geometry" $(resume_of "$folder/tokenizer")
+instok3d train export "$folder/tokenizer" -o "$folder/default_model.safetensors" --notes "$notes"
+
+for protocol in rooms-2view rooms-8view; do
+    for geometry in predicted given; do
+        instok3d evaluate "$protocol" --geometry "$geometry" --data "$folder/rooms-test" \
+            --model "$folder/default_model.safetensors" --baselines --json --details \
+            >"$folder/$protocol-$geometry.json"
+    done
+done

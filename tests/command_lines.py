@@ -1,0 +1,25 @@
+"""Whether the real command line takes a command that a page or a script writes."""
+
+import functools
+from collections.abc import Callable
+from importlib import import_module
+
+import pytest
+
+from instok3d.cli import main
+
+
+def parses(words: list[str], monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether `instok3d` takes these words; the command itself does not run."""
+    module = import_module(f"instok3d.cli.{words[0]}")
+    ran = []
+
+    def stand_in(function: Callable) -> Callable:
+        return functools.wraps(function)(lambda *_, **__: ran.append(function))
+
+    if hasattr(module, "COMMANDS"):
+        subcommands = {name: stand_in(each) for name, each in module.COMMANDS.items()}
+        monkeypatch.setattr(module, "COMMANDS", subcommands)
+    else:
+        monkeypatch.setattr(module, "run", stand_in(module.run))
+    return main(words) == 0 and len(ran) == 1

@@ -1,0 +1,108 @@
+"""What the README says works: its commands, its Python, its paths and links."""
+
+import re
+import shlex
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from command_lines import parses
+from instok3d.cli import COMMANDS, main
+from instok3d.model.files import DEFAULT_MODEL
+from made_model import made_model, made_photos
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+DEMO_PHOTOS = Path(str(files("instok3d") / "assets" / "demo"))
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
+
+
+def section(title: str) -> str:
+    return README.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def command_lines(text: str) -> list[list[str]]:
+    lines = "\n".join(blocks(text, "bash")).splitlines()
+    return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
+
+
+OURS = [words[1:] for words in command_lines(README) if words[0] == "instok3d"]
+
+
+def test_first_result_and_tests_are_two_commands_each():
+    first, test = command_lines(section("First result")), command_lines(section("Tests"))
+    assert first == [["pip", "install", "-c", "constraints-cpu.txt", "."], ["instok3d", "demo"]]
+    assert len(test) == 2
+
+
+def test_the_test_commands_are_those_of_the_ci_word_for_word():
+    ci = (ROOT / ".ci" / "run").read_text().splitlines()
+    commands = blocks(section("Tests"), "bash")[0].splitlines()
+    start = ci.index(commands[0])
+    assert ci[start : start + len(commands)] == commands
+
+
+@pytest.mark.parametrize("words", OURS, ids=" ".join)
+def test_the_command_line_takes_what_the_readme_writes(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    assert parses(words, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["reconstruct photos/ --out room.itk", "data rooms --seeds 0:2", "evaluate rooms-3view"],
+)
+def test_a_wrong_command_is_seen(wrong: str, monkeypatch: pytest.MonkeyPatch):
+    assert not parses(wrong.split(), monkeypatch)
+
+
+def test_the_table_of_commands_names_all_of_them():
+    assert re.findall(r"^\| `instok3d (\w+)` \|", README, re.M) == list(COMMANDS)
+
+
+@pytest.mark.parametrize("code", blocks(README, "python"), ids=lambda code: code.split()[1])
+@pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
+def test_the_python_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    made_photos(tmp_path / "photos")
+    model = made_model(tmp_path / "model.safetensors")
+    for module in ("instok3d.scene.reconstruct", "instok3d.model.files"):
+        monkeypatch.setattr(f"{module}.DEFAULT_MODEL", model)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    assert (tmp_path / "room.itk" / "scene.json").is_file()
+
+
+@pytest.mark.slow
+def test_the_first_result_comes_out(tmp_path: Path):
+    if not (DEFAULT_MODEL.is_file() and DEMO_PHOTOS.is_dir()):
+        pytest.skip("the default model and the demo's photos are not in this tree")
+    scene = tmp_path / "demo.itk"
+    assert main(["demo", "-o", str(scene)]) == 0
+    named = re.findall(r"`demo\.itk/(\S+)`", section("First result"))
+    assert named
+    assert all((scene / path).is_file() for path in named)
+
+
+def test_the_file_tree_names_what_is_there():
+    paths = [line.split()[0] for line in blocks(README, "text")[0].splitlines()]
+    assert len(paths) > 20
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *sorted(p.name for p in (ROOT / "docs").glob("*.md"))]
+)
+def test_links_lead_somewhere(page: str):
+    path = ROOT / page if page == "README.md" else ROOT / "docs" / page
+    links = re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", path.read_text())
+    local = [link for link in links if "://" not in link]
+    assert [link for link in local if not (path.parent / link).exists()] == []
+
+
+def test_the_readme_is_short():
+    assert len(README.splitlines()) <= 200
