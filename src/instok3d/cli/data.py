@@ -9,7 +9,7 @@ import tyro
 
 def _seed_range(text: str) -> range:
     first, separator, end = text.partition(":")
-    if not separator or not first.isdigit() or not end.isdigit() or int(first) >= int(end):
+    if not separator or not first.isdecimal() or not end.isdecimal() or int(first) >= int(end):
         raise ValueError(f"--seeds {text!r} is no range; write first:last+1, such as 0:2000")
     return range(int(first), int(end))
 
@@ -54,18 +54,21 @@ def preview(
 
     Args:
         folder: Made by `instok3d data rooms`.
-        out: PNG file; preview.png in the folder unless given.
+        out: PNG file, replaced if it is there; preview.png in the folder unless given.
         scenes: Rooms, spread over the folder.
-        views: Frames of each.
+        views: Frames of each, spread over its path.
     """
     from PIL import Image
 
+    from instok3d.cli.targets import check_file
     from instok3d.data.rooms import RoomDataset
     from instok3d.data.rooms.preview import contact_sheet
     from instok3d.files import replacing
 
-    sheet = contact_sheet(RoomDataset(folder), scenes, views)
     path = folder / "preview.png" if out is None else out
+    dataset = RoomDataset(folder)
+    check_file(path, overwrite=True, endings=(".png",))
+    sheet = contact_sheet(dataset, scenes, views)
     with replacing(path) as part:
         Image.fromarray(sheet).save(part, "PNG")
     print(path)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from instok3d.data.rooms.camera_path import FRAMES
 from instok3d.data.rooms.scene import RenderedScene
@@ -43,8 +43,20 @@ def write_shard(path: Path, scenes: list[RenderedScene]) -> None:
         for name in ("images", "instances", "depths_mm", "world_from_cam", "intrinsics"):
             tensors[name] = np.stack([getattr(scene, name) for scene in scenes])
     metadata = {"format": FORMAT, "scenes": json.dumps([scene.meta for scene in scenes])}
+    data = _with_ordered_metadata(save(tensors, metadata))
     with replacing(path) as part:
-        save_file(tensors, part, metadata)
+        # Not save_file, which hides a full disk behind an error type of its own.
+        part.write_bytes(data)
+
+
+def _with_ordered_metadata(data: bytes) -> bytes:
+    """The same safetensors data with sorted metadata: `save` shuffles it from call to call."""
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors start at multiples of 8
+    return len(text).to_bytes(8, "little") + text + data[8 + length :]
 
 
 def new_index(resolution: int, level: str) -> dict[str, Any]:
