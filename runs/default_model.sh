@@ -18,7 +18,11 @@ geometry_steps=3600
 geometry_lr=6e-4
 geometry_warmup_steps=200
 geometry_views="2 2 2 2 2 3 4 8"
-tokenizer_steps=8000
+tokenizer_steps=4000
+tokenizer_lr=5e-4
+tokenizer_warmup_steps=150
+tokenizer_seg_warmup_steps=300
+tokenizer_views="2 2 2 2 4 8"
 notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
 
 mkdir -p "$folder"
@@ -31,9 +35,12 @@ instok3d data rooms -o "$folder/rooms-test" --seeds "$test_seeds" --workers "$wo
 instok3d train nano-geometry --data "$folder/rooms" -o "$folder/geometry" --seed "$seed" \
     --steps "$geometry_steps" --lr "$geometry_lr" --warmup-steps "$geometry_warmup_steps" \
     --batches.views $geometry_views $(resume_of "$folder/geometry")
-# shellcheck disable=SC2046
+# shellcheck disable=SC2046,SC2086
 instok3d train nano-tokenizer --data "$folder/rooms" -o "$folder/tokenizer" --seed "$seed" \
-    --steps "$tokenizer_steps" --init-from "$folder/geometry" $(resume_of "$folder/tokenizer")
+    --init-from "$folder/geometry" --steps "$tokenizer_steps" --lr "$tokenizer_lr" \
+    --warmup-steps "$tokenizer_warmup_steps" \
+    --stage.seg-warmup-steps "$tokenizer_seg_warmup_steps" \
+    --batches.views $tokenizer_views $(resume_of "$folder/tokenizer")
 instok3d train export "$folder/tokenizer" -o "$folder/default_model.safetensors" --notes "$notes"
 
 for protocol in rooms-2view rooms-8view; do
