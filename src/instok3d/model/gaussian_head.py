@@ -1,4 +1,4 @@
-"""The Gaussian head: a two-layer MLP turns each anchor token into N_g Gaussians (Sec. 3.2)."""
+"""The Gaussian head: a two-layer MLP turns each anchor token into N_g Gaussians (Sec. 3.1)."""
 
 from dataclasses import dataclass
 from math import isqrt, log

@@ -29,10 +29,11 @@ class TokenizerConfig:
     """Layers of D_group; the paper has 4."""
     head_size: int = 64
     """Channels of an attention head; 64 as in the paper's backbone."""
-    normalize_heads: bool = False
+    normalize_heads: bool = True
     """Layer-normalise queries and keys in each head; the paper does not say."""
-    anchor_self_attention: bool = False
-    """Anchors also attend to each other; the paper shows cross-attention alone."""
+    anchor_self_attention: bool = True
+    """Anchors also attend to each other; the paper shows cross-attention alone. Without it the
+    grouping of the nano model stopped improving after an eighth of the run."""
     group_self_attention: bool = True
     """Groups also attend to each other, without which two may claim one object; a deviation."""
     gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
@@ -49,6 +50,8 @@ PAPER = TokenizerConfig(
     num_groups=100,
     anchor_layers=6,
     group_layers=4,
+    normalize_heads=False,
+    anchor_self_attention=False,
     group_self_attention=False,
     gaussian_head=GaussianHeadConfig(gaussians_per_anchor=32, seeding="anchor", sh_degree=2),
 )

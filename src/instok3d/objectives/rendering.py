@@ -1,4 +1,4 @@
-"""The rendering loss: squared error and, where its weights are there, LPIPS (Eq. 6)."""
+"""The rendering loss: squared error and, where its weights are there, LPIPS (Eq. 4)."""
 
 from dataclasses import dataclass
 

@@ -50,7 +50,7 @@ def render(
         cameras: With the same leading batch axis, or without.
         height: Of the pictures, pixels.
         width: Of the pictures, pixels.
-        anchor_features: Composited through the anchors that the Gaussians came from (Eq. 4);
+        anchor_features: Composited through the anchors that the Gaussians came from (Sec. 3.2);
             group probabilities, for example.
         background: sRGB colour behind everything.
         near: Gaussians whose mean is nearer than this z-depth are not drawn, scene units.

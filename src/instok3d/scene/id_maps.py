@@ -32,8 +32,8 @@ def group_maps(
 ) -> GroupMaps:
     """The winners of one view, not differentiable.
 
-    The groups' maps are their assignment probabilities composited like colours (Eq. 4). The void
-    has a map too, and what no Gaussian covers is added to it. (The evaluation of Sec. 5 leaves
+    The groups' maps are their assignment probabilities composited like colours (Sec. 3.2). The void
+    has a map too, and what no Gaussian covers is added to it. (The evaluation of Sec. 4 leaves
     the void out, since every pixel there counts for some group; a scene does not, since a wall
     that is no object must not be handed to the nearest chair.)
 
