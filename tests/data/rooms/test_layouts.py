@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("embreex")
 
-from instok3d.data.rooms import textures
+from instok3d.data.rooms import scene, textures
 from instok3d.data.rooms.camera_path import PathFinder
 from instok3d.data.rooms.levels import LEVEL_MIX, LEVELS, level_of
 from instok3d.data.rooms.materials import HELD_OUT_MATERIALS
@@ -15,7 +15,6 @@ from instok3d.data.rooms.objects import HELD_OUT_GENERATORS, REGISTRY
 from instok3d.data.rooms.plan import Box
 from instok3d.data.rooms.rendering import Frame, Renderer
 from instok3d.data.rooms.room import HELD_OUT_ROOM_TYPE, ROOM_TYPES, Room, build_room
-from instok3d.data.rooms.scene import _develop
 from instok3d.data.rooms.seeding import SPLIT_STARTS, Streams, split_of
 
 SEEDS = (11, 1_000_012, 2_000_013)
@@ -122,7 +121,7 @@ def test_exposure_and_sensor_differ_between_levels(levels):
     for name in ("easy", "hard"):
         for seed in range(12):
             room = dataclasses.replace(levels[name][0], seed=seed)
-            images, _ = _develop(room, [flat] * 4, Streams(seed))
+            images, _ = scene._develop(room, [flat] * 4, Streams(seed))
             light.setdefault(name, []).append(images.mean() / 255)
             same = (images[1:] == images[0]).all()
             assert same == (name == "easy")  # no drift and no noise in easy rooms
@@ -136,6 +135,14 @@ def test_rooms_are_lit(levels, transfer):
     for room in [room for rooms in levels.values() for room in rooms] + transfer:
         emission = np.array([m.emission for m in room.mesh.materials])
         assert (emission[room.mesh.face_material] > 0).any()
+
+
+def test_a_room_without_any_light_is_rejected(levels, monkeypatch):
+    room = levels["easy"][0]
+    dark = tuple(dataclasses.replace(m, emission=0.0) for m in room.mesh.materials)
+    dark_room = dataclasses.replace(room, mesh=dataclasses.replace(room.mesh, materials=dark))
+    monkeypatch.setattr(scene, "build_room", lambda seed, level: dark_room)
+    assert scene.render_scene(room.seed, 16, "easy") is None
 
 
 def test_boxes_overlap_by_hand():

@@ -30,7 +30,7 @@ class RenderedScene:
 def render_scene(
     seed: int, resolution: int = 128, level: str = "mix", denoiser: Denoiser | None = None
 ) -> RenderedScene | None:
-    """The scene of a seed, or None where no camera path shows enough of the room.
+    """The scene of a seed, or None where no camera path shows enough of it or nothing lights it.
 
     Raises:
         ModuleNotFoundError: The ray tracer is not installed.
@@ -38,6 +38,8 @@ def render_scene(
     """
     streams = Streams(seed)
     room = build_room(seed, level)
+    if not any(material.emission > 0 for material in room.mesh.materials):
+        return None
     renderer = Renderer(room, streams.child("lights"), denoiser)
     path = PathFinder(room, renderer, streams.child("path")).find()
     if path is None:
