@@ -14,7 +14,7 @@ from instok3d.training.tokenizer_stage import TokenizerStageConfig
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """One training run. Scale-free settings are the paper's where it names them (Sec. 4)."""
+    """One training run. The paper's value stands behind a setting where it differs (Sec. 4)."""
 
     stage: GeometryStageConfig | TokenizerStageConfig
     """What is trained, with its sizes and losses."""
@@ -25,6 +25,7 @@ class TrainConfig:
     cosine_steps: int | None = None
     """Where the learning rate reaches its end; None = at the last step."""
     lr: float = 5e-4
+    """Peak of the learning rate; the paper has 1e-4."""
     warmup_steps: int = 500
     """Steps of linear rise of the learning rate."""
     final_lr_fraction: float = 0.01
@@ -68,14 +69,16 @@ def preset(name: str) -> TrainConfig:
 PRESETS = {
     "nano-geometry": TrainConfig(
         stage=GeometryStageConfig(),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 3, 4, 6, 8), num_targets=1),
-        lr=4e-4,
+        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 2, 3, 4, 8), num_targets=1),
+        lr=6e-4,
+        warmup_steps=200,
         clip_norm=1.0,
     ),
     "nano-tokenizer": TrainConfig(
         stage=TokenizerStageConfig(),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 3, 4, 6, 8), num_targets=2),
-        lr=5e-4,
+        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 2, 4, 8), num_targets=2),
+        lr=6e-4,
+        warmup_steps=150,
     ),
 }
 """The nano runs are this project's own; the paper trains at full size only."""

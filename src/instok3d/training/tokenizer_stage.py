@@ -49,8 +49,9 @@ class TokenizerStageConfig:
     """How the true target cameras find their length in the predicted world."""
     seg_weight: float = 0.1
     """lambda_seg, the weight of the grouping loss (Eq. 6)."""
-    seg_warmup_steps: int = 1500
-    """Steps over which seg_weight rises linearly from 0 (Sec. 4)."""
+    seg_warmup_steps: int = 200
+    """Steps over which seg_weight rises linearly from 0. The paper has 1,500 (Sec. 4): its
+    Gaussians start anywhere, those of the nano model start on the surfaces."""
     l1_weight: float = 0.0
     """Mean absolute colour error; not in the paper."""
     gradient_weight: float = 0.0
