@@ -3,10 +3,13 @@
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @contextmanager
@@ -40,3 +43,30 @@ def write_json(path: Path, value: Any) -> None:
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     with replacing(path) as part:
         part.write_text(text)
+
+
+def write_safetensors(
+    path: Path, tensors: "Mapping[str, Tensor]", metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write tensors atomically; equal tensors and metadata give equal bytes.
+
+    Not `save_file`: it hides a full disk behind an error type of its own, and it shuffles the
+    metadata from call to call.
+    """
+    from safetensors.torch import save  # brings torch, which `instok3d --help` need not wait for
+
+    contiguous = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    data = save(contiguous, dict(metadata) if metadata else None)
+    if metadata:
+        data = _with_ordered_metadata(data)
+    with replacing(path) as part:
+        part.write_bytes(data)
+
+
+def _with_ordered_metadata(data: bytes) -> bytes:
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors start at multiples of 8
+    return len(text).to_bytes(8, "little") + text + data[8 + length :]

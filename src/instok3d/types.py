@@ -126,4 +126,4 @@ class Rendering:
     depths: Float[Tensor, "*batch view height width"]
     """Expected z-depth, sum(w z) / sum(w), scene units; 0 where nothing was hit."""
     features: Float[Tensor, "*batch view channel height width"] | None = None
-    """Composited per-anchor features (Sec. 3.2), not divided by alpha; None when none were given."""
+    """Composited per-anchor features (Sec. 3.2), not divided by alpha; None when not asked for."""

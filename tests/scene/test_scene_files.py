@@ -106,7 +106,7 @@ def test_a_missing_parent_folder_is_named(tmp_path: Path, scene: Scene):
 
 
 @pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt])
-@pytest.mark.parametrize("step", ["save", "write_previews", "_write_json"])
+@pytest.mark.parametrize("step", ["write_safetensors", "write_previews", "_write_json"])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_an_interrupted_save_leaves_what_was_there(
     tmp_path: Path,

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple, get_type_hints
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
-from instok3d.files import replacing
+from instok3d.files import write_safetensors
 from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 
@@ -60,7 +59,7 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
             value = value.half()
         if not value.isfinite().all():
             raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
-        state[name] = value.detach().cpu().contiguous()
+        state[name] = value
     kind = _kind_of(model.backbone)
     metadata = {
         "format": FORMAT,
@@ -69,8 +68,7 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
         "tokenizer_config": json.dumps(asdict(model.config), allow_nan=False),
         "card": json.dumps(dict(card), allow_nan=False),
     }
-    with replacing(path) as part:
-        save_file(state, part, metadata=metadata)
+    write_safetensors(path, state, metadata)
 
 
 def load_model(path: Path | None = None) -> Tokenizer:

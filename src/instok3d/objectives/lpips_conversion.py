@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from instok3d.files import replacing
+from instok3d.files import write_safetensors
 from instok3d.objectives.lpips import Lpips, Trunk
 
 ALLOWED = {
@@ -59,9 +58,8 @@ def convert_lpips(checkpoint: Path, output: Path, *, trunk: Trunk) -> None:
         raise ValueError(
             f"{checkpoint} does not fit the {trunk} trunk of LPIPS: {error}"
         ) from error
-    state = {name: value.half().contiguous() for name, value in model.state_dict().items()}
-    with replacing(output) as part:
-        save_file(state, part, metadata={"lpips_trunk": trunk})
+    state = {name: value.half() for name, value in model.state_dict().items()}
+    write_safetensors(output, state, {"lpips_trunk": trunk})
 
 
 def _parameters(model: Lpips, trunk: Trunk) -> Iterator[tuple[tuple[str, ...], Tensor]]:

@@ -19,10 +19,11 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save
+from safetensors.torch import load_file
 from torch import Tensor
 
 from instok3d.data.pixel_map import PixelMap
+from instok3d.files import write_safetensors
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.model.files import file_sha256
 from instok3d.scene.folder import replacing_folder
@@ -71,9 +72,7 @@ def save_scene(
         begin("save")
         for name in TENSOR_FILES:
             stage = scene.gaussians if name.startswith("gaussians") else scene.tokens
-            tensors = {k: v.detach().cpu().contiguous() for k, v in vars(stage).items()}
-            # Not save_file, which hides a full disk behind an error type of its own.
-            (part / name).write_bytes(save(tensors))
+            write_safetensors(part / name, vars(stage))
         _write_json(part / "cameras.json", _cameras_json(scene))
         _write_json(part / "objects.json", [item.to_json() for item in scene.objects])
         digests = {name: file_sha256(part / name) for name in sorted(TENSOR_FILES)}

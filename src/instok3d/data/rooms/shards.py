@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import save
+import torch
 
 from instok3d.data.rooms.camera_path import FRAMES
 from instok3d.data.rooms.scene import RenderedScene
 from instok3d.data.rooms.seeding import GENERATOR_VERSION
-from instok3d.files import replacing, write_json
+from instok3d.files import write_json, write_safetensors
 
 FORMAT = "instok3d-rooms-1"
 SHARD_SEEDS = 16
@@ -38,25 +38,12 @@ class ShardRecord:
 
 def write_shard(path: Path, scenes: list[RenderedScene]) -> None:
     """Write scenes of one resolution as a shard, atomically. No scenes make an empty file."""
-    tensors: dict[str, np.ndarray] = {}
+    tensors: dict[str, torch.Tensor] = {}
     if scenes:
         for name in ("images", "instances", "depths_mm", "world_from_cam", "intrinsics"):
-            tensors[name] = np.stack([getattr(scene, name) for scene in scenes])
+            tensors[name] = torch.from_numpy(np.stack([getattr(scene, name) for scene in scenes]))
     metadata = {"format": FORMAT, "scenes": json.dumps([scene.meta for scene in scenes])}
-    data = _with_ordered_metadata(save(tensors, metadata))
-    with replacing(path) as part:
-        # Not save_file, which hides a full disk behind an error type of its own.
-        part.write_bytes(data)
-
-
-def _with_ordered_metadata(data: bytes) -> bytes:
-    """The same safetensors data with sorted metadata: `save` shuffles it from call to call."""
-    length = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + length])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)  # tensors start at multiples of 8
-    return len(text).to_bytes(8, "little") + text + data[8 + length :]
+    write_safetensors(path, tensors, metadata)
 
 
 def new_index(resolution: int, level: str) -> dict[str, Any]:
