@@ -15,7 +15,7 @@ test_seeds=2000000:2000100
 workers=2
 seed=0
 geometry_steps=3600
-tokenizer_steps=3200
+tokenizer_steps=2600
 notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
 
 mkdir -p "$folder"

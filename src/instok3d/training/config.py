@@ -77,8 +77,8 @@ PRESETS = {
     "nano-tokenizer": TrainConfig(
         stage=TokenizerStageConfig(),
         batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 2, 4, 8), num_targets=2),
-        lr=6e-4,
-        warmup_steps=150,
+        lr=1e-4,
+        warmup_steps=100,
     ),
 }
 """The nano runs are this project's own; the paper trains at full size only."""
