@@ -1,5 +1,5 @@
-// The kernels on AVX-512. Only functions without external linkage in here: the linker keeps one copy
-// of an inline function with a name that others see, and it may be one that the machine lacks.
+// The kernels on AVX-512. Only functions without external linkage in here: the linker keeps
+// one copy of an inline function that others see, and it may be one that the machine lacks.
 #include <cmath>
 #include <cstddef>
 #include <cstdint>

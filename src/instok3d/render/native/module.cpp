@@ -51,7 +51,7 @@ const Kernels& kernels_named(const std::string& name) {
   for (const Kernels* kernels : usable) {
     if (name == "auto" || name == kernels->name) return *kernels;
   }
-  throw std::invalid_argument("no kernels for the instruction set '" + name + "' on this processor");
+  throw std::invalid_argument("this processor has no kernels named '" + name + "'");
 }
 
 // A tensor in reused memory, which goes back when the tensor is gone.

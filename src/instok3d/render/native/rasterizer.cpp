@@ -157,7 +157,8 @@ std::unique_ptr<Frame> draw_all(const Inputs& in, const Kernels& kernels, const 
                     },
                     [&](std::int64_t task, int thread) {
                       const int picture = static_cast<int>(task / tiles);
-                      const Tile tile = tile_of(in, *frame, picture, static_cast<int>(task % tiles));
+                      const int index = static_cast<int>(task % tiles);
+                      const Tile tile = tile_of(in, *frame, picture, index);
                       frame->slots[task] = kernels.draw(in, tile, memory[thread].scratch,
                                                         images_of(in, images, picture));
                     }});
@@ -209,7 +210,8 @@ void draw_all_backward(const Inputs& in, const Kernels& kernels, const Frame& fr
                        int wanted_threads) {
   const int threads = usable_threads(wanted_threads);
   const int pictures = in.pictures(), tiles = in.tiles_x() * in.tiles_y();
-  const int parts = divided_up(in.gaussians, CHUNK), slices = divided_up(in.channels, CHANNEL_SLICE);
+  const int parts = divided_up(in.gaussians, CHUNK);
+  const int slices = divided_up(in.channels, CHANNEL_SLICE);
   std::vector<Buffer> pairs;
   std::vector<Workspace> memory;
   std::unique_ptr<AnchorRows> rows;
