@@ -132,8 +132,8 @@ def _chosen(
 @cache
 def _warn_of_slow_rendering() -> None:
     warnings.warn(
-        f"the native rasterizer is missing: {native_status().reason}. Rendering takes about 70 "
-        "times as long. Install a C++ compiler (GCC or Clang) and install instok3d again.",
+        f"the native rasterizer is missing: {native_status().reason}. Rendering takes "
+        "hundreds of times as long. Install a C++ compiler (GCC or Clang) and install instok3d again.",
         stacklevel=4,
     )
 
