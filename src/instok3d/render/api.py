@@ -133,7 +133,8 @@ def _chosen(
 def _warn_of_slow_rendering() -> None:
     warnings.warn(
         f"the native rasterizer is missing: {native_status().reason}. Rendering takes "
-        "hundreds of times as long. Install a C++ compiler (GCC or Clang) and install instok3d again.",
+        "hundreds of times as long. Install a C++ compiler (GCC or Clang) and install instok3d "
+        "again.",
         stacklevel=4,
     )
 
