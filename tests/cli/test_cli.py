@@ -208,8 +208,13 @@ def test_options_that_cannot_be_are_bad_input(
 def test_ctrl_c_stops_with_its_code_and_leaves_nothing(tmp_path: Path, model: str):
     photos = str(made_photos(tmp_path / "photos"))
     words = ["reconstruct", photos, "-o", str(tmp_path / "a.itk"), "--model", model]
+
+    def listen() -> None:
+        # A shell starts its background jobs, and CI perhaps all of this, with Ctrl-C ignored.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     with subprocess.Popen([sys.executable, "-m", "instok3d", *words], stderr=subprocess.PIPE,
-                          text=True) as process:  # fmt: skip
+                          text=True, preexec_fn=listen) as process:  # fmt: skip
         assert process.stderr is not None
         for line in process.stderr:
             if line.startswith("photos"):
