@@ -71,7 +71,7 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
     write_safetensors(path, state, metadata)
 
 
-def load_model(path: Path | None = None) -> Tokenizer:
+def load_model(path: Path | str | None = None) -> Tokenizer:
     """The model of a file in float32, in eval mode on the CPU; the shipped one for None.
 
     Raises:
@@ -96,7 +96,7 @@ def load_model(path: Path | None = None) -> Tokenizer:
     return model.eval()
 
 
-def read_card(path: Path | None = None) -> dict[str, Any]:
+def read_card(path: Path | str | None = None) -> dict[str, Any]:
     """What the file says of its model; the shipped one's for None.
 
     Raises:
@@ -113,13 +113,13 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _existing(path: Path | None) -> Path:
+def _existing(path: Path | str | None) -> Path:
     if path is None and not DEFAULT_MODEL.is_file():
         raise MissingWeightsError(
             f"the default model is not installed (no {DEFAULT_MODEL}); give a model file, or "
             "install the package with its assets"
         )
-    path = DEFAULT_MODEL if path is None else path
+    path = DEFAULT_MODEL if path is None else Path(path)
     if not path.is_file():
         raise MissingWeightsError(f"no model file {path}; give the path of a .safetensors model")
     return path
