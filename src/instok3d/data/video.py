@@ -33,7 +33,7 @@ def extract_frames(path: Path, folder: Path, *, count: int = 48) -> list[Path]:
         ) from error
     if not duration_s or not duration_s > 0:
         raise ValueError(f"{path} lasts {duration_s} s and has no frame to take")
-    count = max(1, min(count, there))  # ffmpeg would repeat the frames of a short film
+    count = max(1, min(count, there or count))  # ffmpeg would repeat the frames of a short film
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-v", "error", "-i", source]
     command += ["-vf", f"fps={count}/{duration_s:.6f}:round=near", "-frames:v", str(count)]
     command += ["-q:v", "2", str(folder / "frame_%04d.jpg")]
