@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.nn import functional
 
 from fake_rooms import FakeRooms
 from instok3d.data.batches import make_sample
-from instok3d.data.sample import collate, concatenate_views, photos_only
+from instok3d.data.sample import collate, photos_only
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.geometry.cameras import invert_rigid, project, transform_points, unproject
 
@@ -53,6 +55,8 @@ def test_collate_keeps_order_and_names(sample):
     other = make_sample(FakeRooms(2, size=24).scene(1), FrameChoice((0, 2), (1, 0)))
     both = collate([sample, other])
     assert both.context.images.shape == (2, 2, 3, 24, 24)
+    assert both.target.depths is not None
+    assert other.target.depths is not None
     assert torch.equal(both.target.depths[1], other.target.depths[0])
     assert both.names == ("seed 0 frames 4,2", "seed 1 frames 0,2")
 
@@ -65,8 +69,8 @@ def test_collate_refuses_nothing_and_unlike_samples(sample):
         collate([sample, other])
 
 
-def test_concatenated_views_hold_only_what_both_know(sample):
-    joined = concatenate_views(sample.context, photos_only(sample.target, keep_intrinsics=True))
-    assert joined.images.shape[1] == 4
-    assert joined.intrinsics is not None
-    assert joined.depths is None
+def test_collate_refuses_what_only_some_samples_know(sample):
+    bare = replace(sample, context=photos_only(sample.context))
+    with pytest.raises(ValueError, match="intrinsics must be known in all samples"):
+        collate([sample, bare])
+    assert collate([bare, bare]).context.depths is None

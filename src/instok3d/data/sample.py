@@ -62,30 +62,14 @@ def photos_only(views: Views, *, keep_intrinsics: bool = False) -> Views:
     return Views(images=views.images, intrinsics=views.intrinsics if keep_intrinsics else None)
 
 
-def concatenate_views(first: Views, second: Views) -> Views:
-    """The views of both, scene by scene; a field that one of them lacks is None."""
-    return _combine([first, second], dim=1)
-
-
 def _join_views(parts: Sequence[Views]) -> Views:
+    joined: dict[str, Tensor | None] = {}
     for field in fields(Views):
-        missing = {getattr(part, field.name) is None for part in parts}
-        if len(missing) > 1:
+        known = [t for part in parts if (t := getattr(part, field.name)) is not None]
+        if len(known) not in (0, len(parts)):
             raise ValueError(f"{field.name} must be known in all samples of a batch or in none")
-    return _combine(parts, dim=0)
-
-
-def _combine(parts: Sequence[Views], *, dim: int) -> Views:
-    def join(name: str) -> Tensor | None:
-        tensors = [getattr(part, name) for part in parts]
-        return None if any(t is None for t in tensors) else torch.cat(tensors, dim=dim)
-
-    return Views(
-        images=torch.cat([part.images for part in parts], dim=dim),
-        intrinsics=join("intrinsics"),
-        cam_from_world=join("cam_from_world"),
-        depths=join("depths"),
-    )
+        joined[field.name] = torch.cat(known) if known else None
+    return Views(**joined)  # pyright: ignore[reportArgumentType]
 
 
 def _views_to(views: Views, device: torch.device | str) -> Views:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from instok3d.data.sample import Sample
 from instok3d.data.view_sampling import FrameChoice, eight_view_protocol, two_view_protocol
 
 ProtocolName = Literal["rooms-2view", "rooms-8view"]
-PROTOCOLS: tuple[ProtocolName, ...] = get_args(ProtocolName)
 
 TEST_SEEDS = range(2_000_000, 2_000_100)
 """The rooms that every figure is measured on; no model may have seen them."""

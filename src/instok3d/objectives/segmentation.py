@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from instok3d.data.instances import instance_ids
 from instok3d.objectives.matching import match_groups
 
 EPSILON = 1e-6
@@ -52,7 +53,7 @@ def segmentation_loss(
     labelled = instances > 0 if ignore_unlabelled else instances >= 0
     scenes, groups, ids = [], [], []
     for scene in range(len(instances)):
-        found = _instance_ids(instances[scene], min_pixels)
+        found = instance_ids(instances[scene], min_pixels=min_pixels)
         if len(found) == 0:
             continue
         cost = _matching_cost(
@@ -73,11 +74,6 @@ def segmentation_loss(
             labelled[scene].flatten(1).sum(dim=1).clamp_min(1),
         )
     return SegmentationLoss(bce_weight * bce + dice_weight * dice, bce, dice, len(ids))
-
-
-def _instance_ids(instances: Int[Tensor, "view height width"], min_pixels: int) -> Tensor:
-    ids, counts = instances.flatten().unique(return_counts=True)
-    return ids[(ids > 0) & (counts >= min_pixels)]
 
 
 @torch.no_grad()
