@@ -146,6 +146,8 @@ def test_norms_biases_and_embeddings_are_not_decayed():
 def test_held_out_scenes_are_the_first_and_stay_so():
     held_out, training = split_scenes(ROOMS, [0, 1, 2, 3], 1)
     assert (held_out, training) == ([0], [1, 2, 3])
+    with pytest.raises(ValueError, match=r"holdout must be at least 1 .* got 0"):
+        split_scenes(ROOMS, [0, 1], 0)
     with pytest.raises(ValueError, match="5 scenes and 5 are held out"):
         split_scenes(ROOMS, list(ROOMS.seeds), 5)
     with pytest.raises(ValueError, match="no longer has, the first is seed 77"):

@@ -75,12 +75,21 @@ class BatchConfig:
     photometric: bool = True
     """Change exposure, contrast and white balance scene by scene, and add noise to contexts."""
 
+    def __post_init__(self):
+        if self.batch_size < 1:
+            raise ValueError(f"batch_size must be at least 1, got {self.batch_size}")
+        if not self.views or min(self.views) < 2:
+            raise ValueError(f"views must hold numbers of at least 2, got {self.views}")
+        if self.num_targets < 1:
+            raise ValueError(f"num_targets must be at least 1, got {self.num_targets}")
+
 
 class RoomBatches:
     """Batches by step. Equal arguments give equal bytes, whatever was asked for before.
 
-    The global batch of a step is cut into one part for each rank, so the samples of a step
-    depend on batch_size * world_size alone. Every epoch goes through all scenes in a new order.
+    The global batch of a step is cut into one part for each rank, so the samples of a two-view
+    step depend on batch_size * world_size alone; a step of more views leaves out the last places
+    of each part. Every epoch goes through all scenes in a new order.
 
     Args:
         source: The scenes.

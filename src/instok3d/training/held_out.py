@@ -22,8 +22,10 @@ def split_scenes(
     """Scene numbers to hold out (the first `holdout` of the seeds) and to train on.
 
     Raises:
-        ValueError: Nothing is left to train on, or a scene of the run is no longer there.
+        ValueError: Nothing is left to train on or to look at, or a scene of the run is missing.
     """
+    if holdout < 1:
+        raise ValueError(f"holdout must be at least 1 scene to validate with, got {holdout}")
     if len(seeds) <= holdout:
         raise ValueError(
             f"the data set has {len(seeds)} scenes and {holdout} are held out: make more rooms"
