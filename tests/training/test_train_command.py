@@ -42,6 +42,8 @@ def test_geometry_run_and_its_continuation(tmp_path, capsys):
 
     assert main([*run, "--steps", "1", *SMALL]) == 2
     assert "pass --resume" in capsys.readouterr().err
+    assert main(["train", "nano-tokenizer", *run[2:], "--resume"]) == 2
+    assert "a run of another stage than nano-tokenizer" in capsys.readouterr().err
     assert main(["train", "export", str(tmp_path), "-o", str(tmp_path / "x.safetensors")]) == 2
     assert "export a tokenizer run" in capsys.readouterr().err
 

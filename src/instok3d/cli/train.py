@@ -28,7 +28,7 @@ class RunArguments:
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
-    them."""
+    them, except that one which is the preset's own cannot be told from one not given."""
     add_rooms: bool = False
     """On resuming, also train on the rooms that the folder has gained since the run began."""
     init_from: Path | None = None
@@ -46,7 +46,13 @@ def _command(name: str) -> Callable[..., None]:
         config: Annotated[AvoidSubcommands[TrainConfig], arg(name="")] = default,
     ) -> None:
         if arguments.resume:
-            config = overlay(read_config(arguments.output), default, config)
+            begun = read_config(arguments.output)
+            if type(begun.stage) is not type(default.stage):
+                raise ValueError(
+                    f"{arguments.output} holds a run of another stage than {name}: go on with the "
+                    "command that began it"
+                )
+            config = overlay(begun, default, config)
         run_training(arguments, config)
 
     run.__doc__ = f"Train with the preset {name}; every setting can be changed."
