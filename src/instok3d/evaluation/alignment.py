@@ -95,7 +95,7 @@ def refined_cameras(
     """
     if steps == 0:
         return cameras
-    twist = torch.zeros(len(photos), 6, requires_grad=True)
+    twist = torch.zeros(len(photos), 6, device=photos.device, requires_grad=True)
     optimizer = torch.optim.Adam([twist], lr=learning_rate)
     height, width = photos.shape[-2:]
     with torch.enable_grad():

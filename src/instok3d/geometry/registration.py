@@ -118,7 +118,7 @@ def _gauss_newton_step(
     hessian_a, gradient_a = equations(seen_a, rays_in_a, weights_b, motion_a)
     hessian = hessian_a + hessian_b
     damping = 1e-4 * hessian.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-6)
-    hessian = hessian + damping[:, None, None] * torch.eye(6, dtype=hessian.dtype)
+    hessian = hessian + damping[:, None, None] * torch.eye(6).to(hessian)
     twist = -torch.linalg.solve(hessian, gradient_a + gradient_b).squeeze(-1)
     # A step of more than 30 degrees or one unit of depth is a sign of too few matches: shorten it.
     twist = twist / (twist.norm(dim=-1, keepdim=True) / 0.5).clamp_min(1.0)
