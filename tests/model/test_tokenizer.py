@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from instok3d.model.gaussian_head import GaussianHeadConfig
-from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
 from instok3d.types import Geometry, TokenGroups, Views
 from plane_backbone import PlaneBackbone, PlaneConfig
 
@@ -50,18 +50,9 @@ def test_shapes_for_one_and_for_five_views(rng, views):
 
 
 def test_shapes_of_the_papers_sizes(rng):
-    # method.md 0.2 with one layer each: 2 views of 256 px, patch 16 -> 512 patches = anchors,
-    # 32 Gaussians each, 9 harmonics, 100 groups and the void.
-    config = TokenizerConfig(
-        width=1024,
-        num_anchors=1024,
-        num_groups=100,
-        anchor_layers=1,
-        group_layers=1,
-        gaussian_head=GaussianHeadConfig(
-            gaussians_per_anchor=32, seeding="anchor", sh_degree=2, hidden_factor=1
-        ),
-    )
+    # With one layer each: 2 views of 256 pixels, patch 16 -> 512 patches = anchors, 32 Gaussians
+    # each, 9 harmonics, 100 groups and the void.
+    config = replace(PAPER, anchor_layers=1, group_layers=1)
     model = Tokenizer(PlaneBackbone(PlaneConfig(patch_size=16, channels=64)), config)
     assert model.gaussian_head.out.out_features == 32 * 38
     with torch.no_grad():
