@@ -1,6 +1,6 @@
 import pytest
-from flat_rooms import flat_room
 
+from flat_rooms import flat_room
 from instok3d.data.batches import make_sample
 from instok3d.data.sample import Sample
 from instok3d.data.view_sampling import FrameChoice

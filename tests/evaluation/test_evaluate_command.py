@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from flat_rooms import flat_room
 
+from flat_rooms import flat_room
 from instok3d.cli import main
 from instok3d.data.rooms.scene import RenderedScene
 from instok3d.data.rooms.shards import ShardRecord, add_to_index, new_index, write_shard

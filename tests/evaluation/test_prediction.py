@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from flat_rooms import flat_room, in_another_world, oracle
 
+from flat_rooms import flat_room, in_another_world, oracle
 from instok3d.data.batches import make_sample
 from instok3d.data.sample import Sample, collate
 from instok3d.data.view_sampling import FrameChoice

@@ -1,6 +1,6 @@
 import pytest
-from flat_rooms import FlatRooms
 
+from flat_rooms import FlatRooms
 from instok3d.evaluation.protocols import TEST_SEEDS, frame_choices, protocol_rooms, room_indices
 
 

@@ -4,9 +4,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from flat_rooms import FlatRooms, oracle
 from PIL import Image
 
+from flat_rooms import FlatRooms, oracle
 from instok3d.evaluation.figures import summarize
 from instok3d.evaluation.instance_ap import ApSettings
 from instok3d.evaluation.prediction import predict

@@ -1,6 +1,6 @@
 import torch
-from flat_rooms import flat_room, oracle
 
+from flat_rooms import flat_room, oracle
 from instok3d.data.batches import make_sample
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.evaluation.image_quality import psnr

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from toy_stage import TINY, ToyStage
 
 from fake_rooms import FakeRooms
 from instok3d.data.batches import RoomBatches
@@ -14,6 +13,7 @@ from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.loop import train
 from instok3d.training.run_log import read_metrics
 from instok3d.training.update import NonFiniteLossError, parameter_groups
+from toy_stage import TINY, ToyStage
 
 ROOMS = FakeRooms(5, size=16)
 
