@@ -105,7 +105,7 @@ def test_a_photo_of_one_pixel_works_with_a_warning(tmp_path):
 
 def test_a_wide_photo_that_loses_much_is_told(tmp_path):
     paths = [save(tmp_path / "a.jpg", 60, 120), save(tmp_path / "b.jpg")]
-    with pytest.warns(UserWarning, match=r"1 of 2 photos lose up to 50% .*letterbox"):
+    with pytest.warns(UserWarning, match=r"1 of 2 photos lose up to 50% "):
         load_photos(paths, height=16, width=16)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -198,9 +198,7 @@ def test_no_photo_and_a_damaged_photo_are_errors(tmp_path):
 def test_the_pixel_limit_can_be_raised_and_is_put_back(tmp_path):
     before = Image.MAX_IMAGE_PIXELS
     path = save(tmp_path / "a.png", 100, 100)
-    with pytest.raises(
-        ValueError, match=r"more than the limit of 0\.005; make it smaller or raise"
-    ):
+    with pytest.raises(ValueError, match=r"more than the limit of 0\.005; make it smaller"):
         load_photos([path], height=16, width=16, max_pixels=5_000)
     quietly([path], height=16, width=16, max_pixels=10_000)
     assert before == Image.MAX_IMAGE_PIXELS

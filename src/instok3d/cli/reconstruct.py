@@ -9,7 +9,10 @@ import tyro
 
 
 def run(
-    photos: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="INPUT ...")],
+    photos: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="INPUT ...", help_behavior_hint="(required)"),
+    ],
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     cameras: Path | None = None,
@@ -24,7 +27,8 @@ def run(
     """Make a scene of objects from photos of one room.
 
     Args:
-        photos: A folder, files, a quoted pattern or a video.
+        photos: A folder, files, a quoted pattern or a video; or a folder with photos in subfolders
+            and their cameras beside them, in a file that --cameras takes.
         output: The scene folder to write, such as room.itk.
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json.

@@ -116,6 +116,12 @@ def read_cameras(path: str | Path) -> CameraSet:
     return CameraSet(tuple(_checked(c, source) for c in cameras.cameras), source, cameras.units)
 
 
+def photo_file(photo: Path) -> Path | None:
+    """The file of a photo that a camera names, perhaps without its ending; None if not there."""
+    candidates = [photo, *(photo.with_name(photo.name + end) for end in (".png", ".jpg"))]
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
+
+
 def _camera_file(path: Path) -> Path:
     if path.is_file():
         return path.parent if path.suffix in (".bin", ".txt") else path
@@ -225,15 +231,14 @@ def _number(data: dict[str, Any], key: str, source: Path, default: float | None 
 
 
 def _size_of(photo: Path, source: Path) -> tuple[int, int]:
-    candidates = [photo, *(photo.with_name(photo.name + end) for end in (".png", ".jpg"))]
-    for candidate in candidates:
-        if candidate.is_file():
-            try:
-                with Image.open(candidate) as image:
-                    return image.height, image.width
-            except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-                raise ValueError(f"{source} names {candidate}, not a usable picture") from error
-    raise ValueError(f"{source} gives no w and h, and its photo {photo} is not there to ask")
+    file = photo_file(photo)
+    if file is None:
+        raise ValueError(f"{source} gives no w and h, and its photo {photo} is not there to ask")
+    try:
+        with Image.open(file) as image:
+            return image.height, image.width
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{source} names {file}, not a usable picture") from error
 
 
 def _matrix(rows: Any, size: int, path: Path) -> Float[Tensor, "{size} {size}"]:

@@ -17,6 +17,10 @@ _THUMBNAIL = re.compile(r"(^|[._-])thumb(s|nail|nails)?([._-]|$)", re.IGNORECASE
 _frame_folders: list[tempfile.TemporaryDirectory[str]] = []  # each is removed when Python ends
 
 
+class NoPhotosError(ValueError):
+    """A folder or a pattern that is there, but with no photo in it."""
+
+
 def find_images(
     source: str | Path | Sequence[str | Path], *, frames_folder: Path | None = None
 ) -> list[Path]:
@@ -34,7 +38,8 @@ def find_images(
     Raises:
         FileNotFoundError: Nothing is there, or the pattern matches nothing.
         PermissionError: A folder may not be listed.
-        ValueError: No photo is among what was found, or a video cannot be read.
+        NoPhotosError: No photo is in the folder, or none fits the pattern.
+        ValueError: The list is empty or names a folder, or a video cannot be read.
     """
     if isinstance(source, Sequence) and not isinstance(source, str):
         return _list_files(source)
@@ -96,7 +101,7 @@ def _photos_among(entries: list[Path], where: str) -> list[Path]:
     photos = [path for path in entries if _is_photo(path)]
     others = [path.name for path in entries if not _is_photo(path)]
     if not photos:
-        raise ValueError(f"{where} holds no photo{_hint(entries, others)}")
+        raise NoPhotosError(f"{where} holds no photo{_hint(entries, others)}")
     if others:
         warnings.warn(
             f"{len(others)} of {len(entries)} entries of {where} are not photos and were left "

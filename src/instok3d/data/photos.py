@@ -15,8 +15,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from instok3d.data.camera_files import CameraSet, PhotoCamera, read_cameras
+from instok3d.data.camera_files import CameraSet, PhotoCamera
 from instok3d.data.camera_fit import check_distance, check_distortion, fit_camera, same_shape
+from instok3d.data.captures import find_photos_and_cameras
 from instok3d.data.depth_files import depth_at_model_pixels, read_depth
 from instok3d.data.image_decoding import MAX_PIXELS, DecodedPhoto, decode_photo, own_pixel_limit
 from instok3d.data.image_files import find_images as find_images
@@ -59,23 +60,24 @@ def read_photos(
     fit: Fit = "crop",
     cameras: str | Path | None = None,
 ) -> PhotoSet:
-    """`find_images`, `read_cameras` and `load_photos` in one call; `warnings` holds those of all.
+    """`find_photos_and_cameras` and `load_photos` in one call; `warnings` holds those of both.
 
     Raises:
         FileNotFoundError: Something named is not there.
         PermissionError: Something may not be read.
-        ValueError: See the three functions.
+        ValueError: See the two functions.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        paths, known = find_photos_and_cameras(source, cameras)
         photos = load_photos(
-            find_images(source),
+            paths,
             height=height,
             width=width,
             max_views=max_views,
             max_pixels=max_pixels,
             fit=fit,
-            cameras=None if cameras is None else read_cameras(cameras),
+            cameras=known,
         )
     messages = tuple(str(warning.message) for warning in caught)
     for message in messages:
@@ -194,7 +196,7 @@ def _remarks(photos: Sequence[DecodedPhoto]) -> list[str]:
         count = sum(share > _LOST_SHARE_TO_TELL for share in lost)
         remarks.append(
             f"{count} of {len(photos)} photos lose up to {max(lost):.0%} of their area at the rim, "
-            "which does not fit into the model's image; fit='letterbox' keeps it"
+            "which does not fit into the model's image"
         )
     small = [m for m in maps if max(m.scale_x, m.scale_y) > 1.0]
     if small:

@@ -44,7 +44,8 @@ def reconstruct(
     Same files, model and seed on the same machine give the same scene.
 
     Args:
-        photos: A folder, files, a pattern or a video.
+        photos: A folder, files, a pattern or a video; or a folder with photos in subfolders and
+            their cameras beside them.
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json. The scene is then in their world and units; otherwise in the frame of
             the first photo's camera and in arbitrary units.
