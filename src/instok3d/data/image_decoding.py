@@ -138,7 +138,7 @@ def _read_bytes(path: Path, max_pixels: int) -> bytes:
         if size > limit:
             raise ValueError(
                 f"{path} has {size / 1e6:.0f} MB, more than {max_pixels / 1e6:g} megapixels can "
-                "take; make it smaller or raise max_pixels"
+                "take; make it smaller"
             )
         data = path.read_bytes()
     except FileNotFoundError as error:
@@ -185,7 +185,7 @@ def _check_pixels(path: Path, height: int, width: int, max_pixels: int) -> None:
     if height * width > max_pixels:
         raise ValueError(
             f"{path} has {width} x {height} = {height * width / 1e6:.1f} megapixels, more than "
-            f"the limit of {max_pixels / 1e6:g}; make it smaller or raise max_pixels"
+            f"the limit of {max_pixels / 1e6:g}; make it smaller"
         )
 
 
