@@ -227,6 +227,37 @@ def test_ctrl_c_stops_with_its_code_and_leaves_nothing(tmp_path: Path, model: st
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
+def test_ctrl_c_within_an_exec_ends_with_the_exit_code():
+    # Dataclasses and named tuples are made by exec, so that any import may be within one.
+    code = (
+        "import sys, instok3d.cli as cli\n"
+        "cli._dispatch = lambda words: exec('raise KeyboardInterrupt')\n"
+        "sys.exit(cli.main([]))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 130
+
+
+def test_a_folder_brings_its_own_cameras(tmp_path: Path, model: str):
+    color = tmp_path / "capture" / "color"
+    color.parent.mkdir()
+    made_photos(color)
+    frames = [
+        {"color": f"color/{photo.name}", "c2w": np.eye(4).tolist()}
+        for photo in sorted(color.iterdir())
+    ]
+    frames[1]["c2w"][0][3] = 0.5
+    with Image.open(next(color.iterdir())) as photo:
+        width, height = photo.size
+    intrinsics = [[width, 0, width / 2], [0, width, height / 2], [0, 0, 1]]
+    table = {"width": width, "height": height, "K": intrinsics, "frames": frames}
+    (color.parent / "scene.json").write_text(json.dumps(table))
+    output = tmp_path / "room.itk"
+    assert main(["reconstruct", str(color.parent), "-o", str(output), "--model", model]) == 0
+    scene = instok3d.load(output)
+    assert (scene.units, scene.frame) == ("metres", "given cameras")
+    assert scene.cameras.cam_from_world[1, 0, 3] == -0.5
+
+
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]):
     assert main(["info", "nowhere.itk", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
@@ -278,6 +309,7 @@ def test_render_refuses_what_is_not_there(room: str, tmp_path: Path, capsys: pyt
     }.items():
         assert main(["render", room, *words]) == 2
         assert message in capsys.readouterr().err
+    assert main(["render", room, "-o", str(tmp_path / "folder"), "--only", "2"]) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["room.itk"]
 
 

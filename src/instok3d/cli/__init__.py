@@ -51,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     except KeyboardInterrupt:
         print("\ninstok3d: interrupted; nothing half-written was left", file=sys.stderr)
+        # Where it passed through an exec, as in imports, Python would end by the signal instead of
+        # with the exit code; another exec makes it forget (run_eval_code_obj of CPython).
+        exec("")
         return INTERRUPTED
     except Exception as error:
         code = exit_code(error)

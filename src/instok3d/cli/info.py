@@ -44,12 +44,12 @@ def describe(scene: "Scene") -> str:
     """The scene in a few lines for people."""
     made = scene.provenance
     owned = sum(item.num_gaussians for item in scene.objects)
-    unit = "m" if scene.units == "metres" else "units"
+    unit, lengths = ("m", "metres") if scene.units == "metres" else ("units", "arbitrary units")
     lines = [
         f"{len(scene.views)} views of {scene.height} x {scene.width}, "
         f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians "
         f"({owned} of them of objects)",
-        f"world: {scene.frame}, x right, y down, z forward; lengths in {scene.units}",
+        f"world: {scene.frame}, x right, y down, z forward; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
         *(f"note: {line}" for line in scene.warnings),
     ]

@@ -56,7 +56,8 @@ def run(
         raise FileExistsError(f"{output} is already there; pass --overwrite to write into it")
     loaded = load_scene(scene)
     way = camera_path(loaded, path, frames, height, width)
-    shots = take_shots(loaded, way, None if only is None else object_name(only), ids=ids)
+    drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
+    shots = take_shots(loaded, way, drawn, ids=ids)
     if output.suffix in FILMS:
         count = write_film(shots, output, fps)
     elif output.suffix in PICTURES:
