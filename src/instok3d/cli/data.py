@@ -15,7 +15,7 @@ def _seed_range(text: str) -> range:
 
 
 def rooms(
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     seeds: str = "0:2000",
     resolution: int = 128,
     workers: int = 2,
@@ -27,7 +27,7 @@ def rooms(
     Whole shards of 16 seeds are made.
 
     Args:
-        out: Folder of shards; made if it is not there.
+        output: Folder of shards; made if it is not there.
         seeds: First seed, colon, last seed plus one.
         resolution: Height and width of the pictures, pixels.
         workers: Processes; one a free core.
@@ -36,17 +36,17 @@ def rooms(
     from instok3d.data.rooms.generate import generate_rooms
 
     report = generate_rooms(
-        out, _seed_range(seeds), resolution=resolution, level=level, workers=workers
+        output, _seed_range(seeds), resolution=resolution, level=level, workers=workers
     )
     print(
-        f"{out}: {report.scenes} new rooms, {report.rejected} seeds rejected, "
+        f"{output}: {report.scenes} new rooms, {report.rejected} seeds rejected, "
         f"{report.skipped} seeds already there"
     )
 
 
 def preview(
     folder: tyro.conf.Positional[Path],
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     scenes: int = 6,
     views: int = 8,
 ) -> None:
@@ -54,7 +54,7 @@ def preview(
 
     Args:
         folder: Made by `instok3d data rooms`.
-        out: PNG file, replaced if it is there; preview.png in the folder unless given.
+        output: PNG file, replaced if it is there; preview.png in the folder unless given.
         scenes: Rooms, spread over the folder.
         views: Frames of each, spread over its path.
     """
@@ -65,7 +65,7 @@ def preview(
     from instok3d.data.rooms.preview import contact_sheet
     from instok3d.files import replacing
 
-    path = folder / "preview.png" if out is None else out
+    path = folder / "preview.png" if output is None else output
     dataset = RoomDataset(folder)
     check_file(path, overwrite=True, endings=(".png",))
     sheet = contact_sheet(dataset, scenes, views)
