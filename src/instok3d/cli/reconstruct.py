@@ -34,7 +34,7 @@ def run(
             scene.json.
         model: A model file instead of the default model.
         max_views: Of more photos, this many are chosen to cover all.
-        seed: Same photos, model and seed give the same bytes.
+        seed: Same photos, model and seed give the same bytes, on one machine with as many threads.
         device: Where the model runs, such as cuda.
         overwrite: Replace a scene that is already there.
         json: Print the result as one JSON object on stdout.

@@ -41,7 +41,7 @@ def reconstruct(
 ) -> Scene:
     """A scene of objects from photos of one room. Not differentiable.
 
-    Same files, model and seed on the same machine give the same scene.
+    Same files, model and seed on the same machine, with as many threads, give the same scene.
 
     Args:
         photos: A folder, files, a pattern or a video; or a folder with photos in subfolders and
