@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from fake_rooms import FakeRooms
 from instok3d.data.batches import RoomBatches
@@ -120,6 +121,16 @@ def test_run_starts_from_the_averaged_weights_of_another(tmp_path):
     first, following = weights(tmp_path / "first"), weights(tmp_path / "next")
     for name in read_checkpoint(tmp_path / "first")["average"]:
         assert torch.equal(following[name], first[f"average.{name}"])
+
+
+def test_first_weights_of_other_sizes_or_of_a_cut_file_are_named(tmp_path):
+    path = tmp_path / "other.safetensors"
+    save_file({"x": torch.zeros(1)}, path)
+    with pytest.raises(ValueError, match=r"other\.safetensors does not fit the sizes"):
+        train(TINY, ToyStage(), ROOMS, tmp_path / "run", init_from=path)
+    path.write_bytes(b"12")
+    with pytest.raises(ValueError, match=r"other\.safetensors is not a whole safetensors file"):
+        train(TINY, ToyStage(), ROOMS, tmp_path / "run", init_from=path)
 
 
 def test_norms_biases_and_embeddings_are_not_decayed():

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
@@ -152,13 +153,17 @@ def read_weights(path: Path) -> dict[str, Tensor]:
 
     Raises:
         FileNotFoundError: There is nothing at the path, or no checkpoint in the run.
+        ValueError: The file is damaged.
     """
     if path.is_dir():
         checkpoint = read_checkpoint(path)
         return {**checkpoint["model"], **checkpoint["average"]}
     if not path.is_file():
         raise FileNotFoundError(f"no run folder and no .safetensors file at {path}")
-    return {name: tensor.float() for name, tensor in load_file(path).items()}
+    try:
+        return {name: tensor.float() for name, tensor in load_file(path).items()}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
 
 
 def current_commit() -> str:

@@ -67,7 +67,8 @@ def train(
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
     Raises:
-        ValueError: The folder holds a run and resume is off, or the data set is too small.
+        ValueError: The folder holds a run and resume is off, the data set is too small, or the
+            first weights do not fit.
         FileNotFoundError: Nothing to resume.
         NonFiniteLossError: Training diverged.
     """
@@ -87,7 +88,12 @@ def train(
     else:
         state.scene_seeds = all_seeds
         if init_from is not None:
-            stage.load_initial(state.model, read_weights(init_from))
+            try:
+                stage.load_initial(state.model, read_weights(init_from))
+            except RuntimeError as error:
+                raise ValueError(
+                    f"{init_from} does not fit the sizes of this run: {error}"
+                ) from error
             state.average = WeightAverage(state.model, config.ema_decay)
     write_config(folder, config, commit=current_commit())
     held_out, training = split_scenes(source, state.scene_seeds, config.holdout)
