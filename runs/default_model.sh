@@ -5,8 +5,9 @@
 #
 # Everything goes into FOLDER, the model into FOLDER/default_model.safetensors. Stop it at any time
 # and run it again: finished rooms are kept and training goes on from the newest checkpoint.
-# Times on TODO-RESULT: rooms TODO-RESULT h, geometry TODO-RESULT h, tokenizer TODO-RESULT h,
-# evaluation TODO-RESULT h.
+# Times on one core of an Intel Xeon with AMX: rooms 0.3 h, geometry 0.8 h, tokenizer 0.7 h,
+# evaluation 0.2 h. The shipped model is this recipe, not these bits: its geometry run took in more
+# rooms on the way (--add-rooms), and its tokenizer run was ended at step 2,946.
 set -euo pipefail
 
 folder=${1:?"give the folder for rooms, runs and the model"}
@@ -15,7 +16,7 @@ test_seeds=2000000:2000100
 workers=2
 seed=0
 geometry_steps=3600
-tokenizer_steps=2600
+tokenizer_steps=3200
 notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
 
 mkdir -p "$folder"
