@@ -96,6 +96,9 @@ def test_unknown_backbones_and_sizes_are_named(model, tmp_path):
     rewritten(path, backbone="plane", backbone_config=json.dumps({"patch_size": 8, "wings": 2}))
     with pytest.raises(ValueError, match="does not know: wings of PlaneConfig"):
         load_model(path)
+    rewritten(path, backbone_config=json.dumps({"patch_size": 8}))
+    with pytest.raises(ValueError, match=r"lacks sizes.*: channels of PlaneConfig"):
+        load_model(path)
 
 
 def test_weights_that_do_not_fit_are_named(model, tmp_path):

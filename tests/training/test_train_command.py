@@ -40,6 +40,9 @@ def test_geometry_run_and_its_continuation(tmp_path, capsys):
     assert read_checkpoint(tmp_path)["step"] == 2
     assert (read_config(tmp_path).lr, read_config(tmp_path).steps) == (0.001, 2)
 
+    assert main([*run, "--resume", "--stage.backbone.width", "128"]) == 2
+    assert "sizes cannot be changed on resuming" in capsys.readouterr().err
+
     assert main([*run, "--steps", "1", *SMALL]) == 2
     assert "pass --resume" in capsys.readouterr().err
     assert main(["train", "nano-tokenizer", *run[2:], "--resume"]) == 2

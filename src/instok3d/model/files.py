@@ -159,13 +159,22 @@ def _kind_of(backbone: GeometryBackbone) -> str:
 
 
 def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:
-    """The dataclass of JSON values, nested ones too; every key must be a field."""
+    """The dataclass of JSON values, nested ones too; keys and fields must be the same.
+
+    A size that is missing must not become today's default: the file was made with another one.
+    """
     known = {each.name for each in fields(config_class)}
     unknown = sorted(set(values) - known)
     if unknown:
         raise ValueError(
             f"{path} has sizes that this version does not know: "
             f"{', '.join(unknown)} of {config_class.__name__}"
+        )
+    missing = sorted(known - set(values))
+    if missing:
+        raise ValueError(
+            f"{path} lacks sizes that this version needs: "
+            f"{', '.join(missing)} of {config_class.__name__}; export it again"
         )
     types = get_type_hints(config_class)
     settled = {}

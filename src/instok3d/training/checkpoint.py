@@ -136,8 +136,18 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
 
 
 def restore(state: RunState, checkpoint: dict[str, Any]) -> None:
-    """Put a checkpoint into a freshly built state and into the process's RNGs."""
-    state.model.load_state_dict(checkpoint["model"])
+    """Put a checkpoint into a freshly built state and into the process's RNGs.
+
+    Raises:
+        ValueError: The run's model has other sizes than the one that was built.
+    """
+    try:
+        state.model.load_state_dict(checkpoint["model"])
+    except RuntimeError as error:
+        raise ValueError(
+            f"the run's weights do not fit the model that its settings ask for ({error}); sizes "
+            "cannot be changed on resuming"
+        ) from error
     state.optimizer.load_state_dict(checkpoint["optimizer"])
     _copy(checkpoint["average"], state.average.values)
     state.step = checkpoint["step"]
