@@ -32,8 +32,8 @@ class TokenizerConfig:
     normalize_heads: bool = True
     """Layer-normalise queries and keys in each head; the paper does not say."""
     anchor_self_attention: bool = True
-    """Anchors also attend to each other; the paper shows cross-attention alone. Its own share in the
-    grouping was not measured (docs/log.md)."""
+    """Anchors also attend to each other; the paper shows cross-attention alone. What it
+    does for the grouping was not measured by itself (docs/log.md)."""
     group_self_attention: bool = True
     """Groups also attend to each other, without which two may claim one object; a deviation."""
     gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
