@@ -25,6 +25,9 @@ class Sample:
     target_instances: Int[Tensor, "batch target height width"]
     names: tuple[str, ...]
     """Where each sample came from, for messages and pictures."""
+    keys: tuple[str, ...] = ()
+    """One for each sample that can be told from all others of its data set and comes again:
+    scene/views/number. Empty where frames are drawn anew every time."""
 
     def to(self, device: torch.device | str) -> "Sample":
         """The same sample with its tensors on another device."""
@@ -34,6 +37,7 @@ class Sample:
             context_instances=self.context_instances.to(device),
             target_instances=self.target_instances.to(device),
             names=self.names,
+            keys=self.keys,
         )
 
 
@@ -54,6 +58,7 @@ def collate(samples: Sequence[Sample]) -> Sample:
         context_instances=torch.cat([s.context_instances for s in samples]),
         target_instances=torch.cat([s.target_instances for s in samples]),
         names=tuple(name for s in samples for name in s.names),
+        keys=tuple(key for s in samples for key in s.keys),
     )
 
 
