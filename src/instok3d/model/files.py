@@ -2,17 +2,17 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, get_type_hints
 
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.files import write_safetensors
-from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.registry import BACKBONES, name_of
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 
 FORMAT = "instok3d-model-1"
@@ -23,28 +23,11 @@ class MissingWeightsError(FileNotFoundError):
     """The weights that were asked for are not on this machine."""
 
 
-class BackboneKind(NamedTuple):
-    """A backbone class with the dataclass of its sizes."""
-
-    backbone: Callable[[Any], GeometryBackbone]
-    config: type
-
-
-def _nano() -> BackboneKind:
-    from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
-
-    return BackboneKind(NanoBackbone, NanoConfig)
-
-
-BACKBONES: dict[str, Callable[[], BackboneKind]] = {"nano": _nano}
-"""Backbones that a file may name, imported when one does."""
-
-
 def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: bool = True) -> None:
     """Write a model as one safetensors file, atomically; the folder must be there.
 
     Args:
-        model: Its backbone must be of a kind in `BACKBONES` and have its sizes in `.config`.
+        model: Its backbone must be in `registry.BACKBONES` and have its sizes in `.config`.
         path: Name of the file.
         card: What to say of the model (how and on what it was trained, floors, licence): JSON.
         half: Store float16, half the size; values change by up to 1/2048 of themselves.
@@ -60,7 +43,7 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
         if not value.isfinite().all():
             raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
         state[name] = value
-    kind = _kind_of(model.backbone)
+    kind = name_of(model.backbone)
     metadata = {
         "format": FORMAT,
         "backbone": kind,
@@ -147,15 +130,6 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
         name: value.to(torch.float32) if value.is_floating_point() else value
         for name, value in state.items()
     }
-
-
-def _kind_of(backbone: GeometryBackbone) -> str:
-    for name, load in BACKBONES.items():
-        if type(backbone) is load().backbone:
-            return name
-    raise ValueError(
-        f"{type(backbone).__name__} is not in model.files.BACKBONES, so a file could not name it"
-    )
 
 
 def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:

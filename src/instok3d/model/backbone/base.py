@@ -43,7 +43,7 @@ class GeometryBackbone(nn.Module, ABC):
     Height and width are multiples of patch_size; the tokenizer checks that. Geometry maths
     (unprojection, solving for cameras) belongs in float32, outside autocast. To be saved with the
     model, the backbone carries its frozen config dataclass as `self.config` and has an entry in
-    `model.files.BACKBONES`.
+    `model.backbone.registry.BACKBONES`.
     """
 
     patch_size: int
