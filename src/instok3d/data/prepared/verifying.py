@@ -1,0 +1,97 @@
+"""Looking for what is missing or damaged in a prepared folder."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from instok3d.data.prepared.format import RECORD, read_scene, sha256_of
+from instok3d.data.prepared.index import INDEX, read_index, scene_folders
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong in a prepared folder."""
+
+    path: str
+    """Below the prepared folder."""
+    problem: str
+
+
+def verify(folder: Path) -> Iterator[Fault]:
+    """Everything that is missing, damaged or too much in a prepared folder, file by file.
+
+    Every byte is read and compared with its checksum.
+
+    Raises:
+        FileNotFoundError: There is no such folder.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder {folder}")
+    yield from verify_index(folder)
+    for scene in scene_folders(folder):
+        yield from verify_scene(scene)
+
+
+def verify_index(folder: Path) -> Iterator[Fault]:
+    """How the index differs from the scenes that lie there, and what no scene owns."""
+    try:
+        listed = read_index(folder)
+    except (FileNotFoundError, ValueError) as error:
+        yield Fault(INDEX, str(error))
+        listed = None
+    lying = {scene.name: scene for scene in scene_folders(folder)}
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") and path.name.endswith(".part"):
+            yield Fault(path.name, "was left by a run that was stopped; delete it")
+        elif path.is_dir() and path.name not in lying and not path.name.startswith("."):
+            yield Fault(path.name, f"is a folder without {RECORD}")
+    for name in sorted(lying.keys() | (listed or {}).keys()) if listed is not None else ():
+        if name not in lying:
+            yield Fault(name, "is in the index but not in the folder")
+        elif name not in listed:
+            yield Fault(name, "is not in the index; `instok3d data verify --index` adds it")
+        elif listed[name].get("sha256") != sha256_of(lying[name] / RECORD):
+            yield Fault(f"{name}/{RECORD}", "is not the one that the index was made of")
+
+
+def verify_scene(scene: Path) -> Iterator[Fault]:
+    """Everything that is wrong in one scene folder."""
+    try:
+        record = read_scene(scene)
+    except ValueError as error:
+        yield Fault(f"{scene.name}/{RECORD}", str(error))
+        return
+    if record.info.name != scene.name:
+        yield Fault(f"{scene.name}/{RECORD}", f"belongs to the scene {record.info.name}")
+    listed = dict(record.files)
+    for masks in sorted(scene.glob("masks_*/masks.json")):
+        try:
+            listed |= _listed_masks(masks)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            yield Fault(masks.relative_to(scene.parent).as_posix(), f"is damaged ({error})")
+    for name, (size, sha256) in listed.items():
+        problem = _file_problem(scene / name, size, sha256)
+        if problem:
+            yield Fault(f"{scene.name}/{name}", problem)
+    for path in sorted(scene.rglob("*")):
+        name = path.relative_to(scene).as_posix()
+        if path.is_file() and name not in listed and path.name not in (RECORD, "masks.json"):
+            yield Fault(f"{scene.name}/{name}", "is not listed in the scene's record")
+
+
+def _listed_masks(path: Path) -> dict[str, tuple[int, str]]:
+    """The files that a masks.json lists, by their paths below the scene."""
+    files = json.loads(path.read_text(encoding="utf-8"))["files"]
+    return {
+        f"{path.parent.name}/{name}": (int(size), str(sha)) for name, (size, sha) in files.items()
+    }
+
+
+def _file_problem(path: Path, size: int, sha256: str) -> str | None:
+    if not path.is_file():
+        return "is missing"
+    found = path.stat().st_size
+    if found != size:
+        return f"has {found} bytes, should have {size}"
+    return None if sha256_of(path) == sha256 else "is damaged: its checksum differs"
