@@ -26,10 +26,11 @@ from instok3d.objectives.rendering import rendering_loss
 from instok3d.objectives.segmentation import segmentation_loss
 from instok3d.render import render
 from instok3d.training.alignment import target_cameras_in_prediction
+from instok3d.training.feature_cache import FeatureCache, of_backbone
 from instok3d.training.pictures import color_picture, contact_sheet, id_picture
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages import StepLoss
-from instok3d.types import Cameras, Rendering, TokenGroups
+from instok3d.types import Cameras, Geometry, Rendering, TokenGroups, Views
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,12 @@ class TokenizerStageConfig:
     """The paper has 0.05; needs lpips_file."""
     lpips_file: Path | None = None
     """Weights of LPIPS as safetensors."""
+    cache: Path | None = None
+    """Folder of cached features (instok3d train cache); the backbone is then not even loaded."""
+
+    def __post_init__(self):
+        if self.cache and not self.freeze_backbone:
+            raise ValueError("a backbone that learns cannot be cached: leave cache out")
 
 
 class TokenizerStage:
@@ -69,17 +76,30 @@ class TokenizerStage:
     def __init__(self, config: TokenizerStageConfig) -> None:
         self.config = config
         self.lpips = load_lpips(config.lpips_file) if config.lpips_file else None
+        self.cache = FeatureCache(config.cache) if config.cache else None
 
     def build_model(self) -> Tokenizer:
-        """A new tokenizer on a new backbone, which `load_initial` fills."""
-        model = Tokenizer(NanoBackbone(self.config.backbone), self.config.tokenizer)
+        """A new tokenizer on a new backbone, which `load_initial` fills; on none with a cache."""
+        sizes = self.config.backbone
+        backbone = self.cache.backbone(sizes) if self.cache else NanoBackbone(sizes)
+        model = Tokenizer(backbone, self.config.tokenizer)
         model.backbone.requires_grad_(not self.config.freeze_backbone)
         return model
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
-        """All weights of a tokenizer run, or the backbone's of a geometry run."""
+        """All weights of a tokenizer run, or the backbone's of a geometry run.
+
+        With cached features the backbone must be the one that made them; it is not loaded.
+        """
         assert isinstance(model, Tokenizer)
         whole = any(name.startswith("backbone.") for name in weights)
+        if self.cache:
+            self.cache.check_backbone(of_backbone(weights), "the first weights")
+            own = {k: v for k, v in weights.items() if whole and not k.startswith("backbone.")}
+            missing, unknown = model.load_state_dict(own, strict=False)
+            if unknown or (own and any(not k.startswith("backbone.") for k in missing)):
+                raise RuntimeError(f"missing {missing}, unknown {unknown}")
+            return
         (model if whole else model.backbone).load_state_dict(dict(weights))
 
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
@@ -167,10 +187,7 @@ class TokenizerStage:
     ) -> tuple[TokenGroups, Rendering]:
         """Tokens from the contexts, rendered at the targets with the groups' probabilities."""
         views = sample.context if given else photos_only(sample.context, keep_intrinsics=intrinsics)
-        if self.config.freeze_backbone:
-            model.backbone.eval()
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.config.freeze_backbone):
-            geometry = model.backbone(views)
+        geometry = self._geometry(model, sample, views, given=given, intrinsics=intrinsics)
         groups = model(views, geometry)
         target = sample.target
         assert target.cam_from_world is not None
@@ -189,6 +206,17 @@ class TokenizerStage:
                 anchor_features=groups.assignment[..., :-1].float(),
             )
         return groups, rendering
+
+    def _geometry(
+        self, model: Tokenizer, sample: Sample, views: Views, *, given: bool, intrinsics: bool
+    ) -> Geometry:
+        """What the backbone says of the views, from the cache where there is one."""
+        if self.cache:
+            return self.cache.geometry(sample, given=given, intrinsics=intrinsics)
+        if self.config.freeze_backbone:
+            model.backbone.eval()
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.config.freeze_backbone):
+            return model.backbone(views)
 
 
 def gradient_error(
