@@ -42,7 +42,7 @@ def rows(text: str) -> list[list[str]]:
     """Cells of all table rows that are no head."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    return [row for row in cells if row[0] != "paper" and not set(row[0]) <= {"-"}]
+    return [row for row in cells if row[0] not in ("paper", "part") and not set(row[0]) <= {"-"}]
 
 
 def test_everything_the_page_names_exists():

@@ -66,7 +66,8 @@ class Context:
     """Surface point (xyz, in units of scale) and colour (rgb) of each sub-cell of the patch,
     row-major: where and in which colour a Gaussian head may start its Gaussians."""
     scale: Float[Tensor, " batch"]
-    """Scene units in one unit of the positions: the mean distance of the pointmaps."""
+    """Scene units in one unit of the positions: the mean distance of the pointmaps, or 1 where
+    the tokenizer takes scenes as they are."""
 
 
 @dataclass(frozen=True)

@@ -34,3 +34,18 @@ def test_a_seed_is_its_patchs_token_with_its_place(rng):
     torch.testing.assert_close(seeds.positions[1, 2], context.positions[1, patch])
     expected = context.tokens[1, patch] + place.position_embedding(context.positions[1, patch])
     torch.testing.assert_close(seeds.tokens[1, 2], expected)
+
+
+def test_copies_of_the_first_anchor_fill_up_where_they_are_asked_for(rng):
+    # As in the paper's released scenes: with 5 patches and 12 anchors, each patch once in the
+    # order of farthest points, then 12 - 5 more copies of patch 0, which is where it starts.
+    context = context_of(torch.rand(2, 5, 3, generator=rng), rng)
+    seeds = AnchorPlacement(8, 12, pad_duplicates=True)(context)
+    picked = seeds.patches
+    assert picked.shape == (2, 12)
+    assert all(sorted(row[:5]) == [0, 1, 2, 3, 4] for row in picked.tolist())
+    assert picked[:, 0].tolist() == [0, 0]
+    assert (picked[:, 5:] == 0).all()
+    torch.testing.assert_close(seeds.tokens[:, 5:], seeds.tokens[:, :1].expand(-1, 7, -1))
+    few = AnchorPlacement(8, 3, pad_duplicates=True)(context)
+    assert torch.equal(few.patches, picked[:, :3])

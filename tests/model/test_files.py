@@ -1,4 +1,5 @@
 import json
+from dataclasses import asdict, fields
 
 import pytest
 import torch
@@ -123,3 +124,24 @@ def test_sha256_of_abc(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
     digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert file_sha256(tmp_path / "abc") == digest
+
+
+def test_a_file_from_before_a_size_was_there_means_what_it_was_made_with(model, tmp_path):
+    path = tmp_path / "model.safetensors"
+    save_model(model, path, card={})
+    sizes = asdict(model.config)
+    for name in ("normalize_scale", "pad_duplicates", "project_assignment"):
+        del sizes[name]
+    rewritten(path, tokenizer_config=json.dumps(sizes))
+    assert load_model(path).config == model.config
+    del sizes["width"]
+    rewritten(path, tokenizer_config=json.dumps(sizes))
+    with pytest.raises(ValueError, match=r"lacks sizes.*: width of TokenizerConfig"):
+        load_model(path)
+
+
+def test_what_older_files_mean_is_said_of_sizes_that_there_are():
+    for kind in (TokenizerConfig, GaussianHeadConfig):
+        known = {field.name for field in fields(kind)}
+        assert set(files.ADDED_LATER.get(kind.__name__, {})) <= known
+    assert set(files.ADDED_LATER) <= {"TokenizerConfig", "GaussianHeadConfig"}

@@ -1,4 +1,5 @@
 import torch
+from torch.nn import functional
 
 from instok3d.model.grouping import Assignment, GroupDecoder, assign_anchors
 from instok3d.model.transformer import Decoder
@@ -48,3 +49,14 @@ def test_groups_differ_from_each_other(rng):
     groups = decode(anchors)[0]
     distances = torch.cdist(groups, groups) + 9 * torch.eye(5)
     assert distances.min() > 0.1
+
+
+def test_without_projections_only_the_norms_and_the_temperature_learn(rng):
+    assign = Assignment(8, project=False)
+    sizes = {name: tuple(p.shape) for name, p in assign.named_parameters()}
+    assert sorted(sizes.values()) == [(), (8,), (8,), (8,), (8,)]
+    anchors, groups = (torch.randn(1, n, 8, generator=rng) for n in (3, 2))
+    normed = [functional.layer_norm(x, (8,)) for x in (anchors, groups)]
+    logits = normed[0] @ normed[1].mT / 8**0.5
+    expected = torch.cat([logits, torch.zeros(1, 3, 1)], dim=-1).softmax(dim=-1)
+    torch.testing.assert_close(assign(anchors, groups), expected)

@@ -4,8 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from instok3d.model.anchors import gather_rows
 from instok3d.model.gaussian_head import GaussianHeadConfig
-from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
+from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.types import Geometry, TokenGroups, Views
 from plane_backbone import PlaneBackbone, PlaneConfig
 
@@ -49,18 +50,22 @@ def test_shapes_for_one_and_for_five_views(rng, views):
     assert groups.gaussians.anchor_index[0].bincount().tolist() == [4] * anchors
 
 
-def test_shapes_of_the_papers_sizes(rng):
-    # With one layer each: 2 views of 256 pixels, patch 16 -> 512 patches = anchors, 32 Gaussians
-    # each, 9 harmonics, 100 groups and the void.
-    config = replace(PAPER, anchor_layers=1, group_layers=1)
-    model = Tokenizer(PlaneBackbone(PlaneConfig(patch_size=16, channels=64)), config)
-    assert model.gaussian_head.out.out_features == 32 * 38
+def test_in_metres_the_papers_bounds_are_metres(rng):
+    head = GaussianHeadConfig(gaussians_per_anchor=4, seeding="anchor")
+    model = small_tokenizer(gaussian_head=head, normalize_scale=False)
     with torch.no_grad():
-        groups = model(photos(rng, batch=1, size=256))
-    assert groups.tokens.shape == (1, 100, 1024)
-    assert groups.assignment.shape == (1, 512, 101)
-    assert groups.gaussians.means.shape == (1, 16384, 3)
-    assert groups.gaussians.sh.shape == (1, 16384, 9, 3)
+        model.gaussian_head.out.weight.mul_(1000)  # far beyond every bound
+    views = photos(rng)
+    geometry = model.backbone(views)
+    geometry = replace(geometry, pointmaps=5 * geometry.pointmaps)
+    groups = model(views, geometry)
+    middle = geometry.pointmaps[:, :, 4::8, 4::8].reshape(2, 32, 3)
+    torch.testing.assert_close(
+        groups.anchors.positions, gather_rows(middle, groups.anchors.patches)
+    )
+    offsets = groups.gaussians.means - groups.anchors.positions.repeat_interleave(4, dim=1)
+    assert offsets.abs().max().item() == pytest.approx(0.1, abs=1e-5)
+    assert groups.gaussians.scales.max().item() == pytest.approx(0.3, abs=1e-5)
 
 
 def test_rows_of_the_assignment_sum_to_one_under_autocast_too(rng):

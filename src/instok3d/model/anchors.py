@@ -23,21 +23,27 @@ def gather_rows(
 class AnchorPlacement(nn.Module):
     """a and A0 = X[a] + phi_pos(a): seeds at the farthest points of the patch centres (Eq. 1)."""
 
-    def __init__(self, width: int, num_anchors: int):
+    def __init__(self, width: int, num_anchors: int, *, pad_duplicates: bool = False):
         super().__init__()
         self.num_anchors = num_anchors
+        self.pad_duplicates = pad_duplicates
         self.position_embedding = nn.Sequential(
             nn.Linear(3, width), nn.GELU(), nn.Linear(width, width)
         )
 
     def forward(self, context: Context) -> Anchors:
-        """Seeds, no more than there are patches, all distinct.
+        """Seeds, no more than there are patches, all distinct unless copies were asked for.
 
         With at least as many anchors as patches every patch gets one, in order: farthest points
-        would only permute them, and nothing behind depends on their order.
+        would only permute them, and nothing behind depends on their order. Copies follow the
+        farthest points in their order, as in the paper's released scenes.
         """
         batch, patches, _ = context.positions.shape
-        if self.num_anchors >= patches:
+        if self.pad_duplicates and self.num_anchors > patches:
+            distinct = farthest_points(context.positions, patches)
+            copies = distinct[:, :1].expand(-1, self.num_anchors - patches)
+            picked = torch.cat([distinct, copies], dim=1)
+        elif self.num_anchors >= patches:
             picked = torch.arange(patches, device=context.positions.device).expand(batch, -1)
         else:
             picked = farthest_points(context.positions, self.num_anchors)

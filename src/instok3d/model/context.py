@@ -11,12 +11,19 @@ class ContextFusion(nn.Module):
     """X = LN(Linear(LN(F)) + patchify(RGB) + patchify(P)), colours in [-1, 1].
 
     Pointmaps are divided by their mean distance first, so that rooms in metres and scenes of any
-    other unit look alike to everything behind. Patchify is one linear layer over the pixels of
-    a patch, which is a strided convolution, only faster on a CPU.
+    other unit look alike to everything behind; with normalize_scale off they are taken as they
+    are. Patchify is one linear layer over the pixels of a patch, which is a strided convolution,
+    only faster on a CPU.
     """
 
     def __init__(
-        self, feature_channels: int, width: int, *, patch_size: int, cells_per_side: int = 1
+        self,
+        feature_channels: int,
+        width: int,
+        *,
+        patch_size: int,
+        cells_per_side: int = 1,
+        normalize_scale: bool = True,
     ):
         super().__init__()
         if patch_size % cells_per_side:
@@ -25,6 +32,7 @@ class ContextFusion(nn.Module):
             )
         self.patch_size = patch_size
         self.cells_per_side = cells_per_side
+        self.normalize_scale = normalize_scale
         pixels = 3 * patch_size**2
         self.feature_proj = nn.Sequential(
             nn.LayerNorm(feature_channels), nn.Linear(feature_channels, width)
@@ -49,8 +57,10 @@ class ContextFusion(nn.Module):
             pointmaps = geometry.pointmaps.float()
             known = pointmaps.isfinite().all(dim=-1, keepdim=True)
             pointmaps = torch.where(known, pointmaps, torch.zeros_like(pointmaps))
-            scale = _mean_distance(pointmaps, known)
-            pointmaps = pointmaps / scale[:, None, None, None, None]
+            scale = torch.ones(len(pointmaps), device=pointmaps.device)
+            if self.normalize_scale:
+                scale = _mean_distance(pointmaps, known)
+                pointmaps = pointmaps / scale[:, None, None, None, None]
             points = to_patches(pointmaps, self.patch_size)  # batch patch row column xyz
             colors = to_patches(views.images.permute(0, 1, 3, 4, 2).float(), self.patch_size)
             known = to_patches(known, self.patch_size)

@@ -18,6 +18,15 @@ from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 FORMAT = "instok3d-model-1"
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
 
+ADDED_LATER: dict[str, dict[str, Any]] = {
+    "TokenizerConfig": {
+        "normalize_scale": True,
+        "pad_duplicates": False,
+        "project_assignment": True,
+    },
+}
+"""Sizes that files of this format may lack, and what such a file was made with."""
+
 
 class MissingWeightsError(FileNotFoundError):
     """The weights that were asked for are not on this machine."""
@@ -135,8 +144,10 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
 def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:
     """The dataclass of JSON values, nested ones too; keys and fields must be the same.
 
-    A size that is missing must not become today's default: the file was made with another one.
+    A size that is missing must not become today's default: the file was made with another one,
+    which ADDED_LATER knows where this version has more sizes than the one that wrote the file.
     """
+    values = {**ADDED_LATER.get(config_class.__name__, {}), **values}
     known = {each.name for each in fields(config_class)}
     unknown = sorted(set(values) - known)
     if unknown:

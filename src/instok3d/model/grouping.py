@@ -26,14 +26,19 @@ class Assignment(nn.Module):
     """pi: which group each anchor belongs to, as probabilities (Eq. 3).
 
     Dot products of the decoded tokens themselves would be far too large for a softmax. Both are
-    projected and layer-normalised, and the product is divided by sqrt(C): about unit variance at
-    the start, at most sqrt(C) when a pair agrees, times a learned temperature.
+    projected (unless `project` is off, as in the paper) and layer-normalised, and the product is
+    divided by sqrt(C): about unit variance at the start, at most sqrt(C) when a pair agrees,
+    times a learned temperature.
     """
 
-    def __init__(self, width: int):
+    def __init__(self, width: int, *, project: bool = True):
         super().__init__()
-        self.anchor_proj = nn.Sequential(nn.Linear(width, width), nn.LayerNorm(width))
-        self.group_proj = nn.Sequential(nn.Linear(width, width), nn.LayerNorm(width))
+
+        def projection() -> nn.Sequential:
+            maps = [nn.Linear(width, width)] if project else []
+            return nn.Sequential(*maps, nn.LayerNorm(width))
+
+        self.anchor_proj, self.group_proj = projection(), projection()
         self.log_temperature = nn.Parameter(torch.zeros(()))
 
     def forward(

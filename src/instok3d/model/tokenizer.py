@@ -36,6 +36,16 @@ class TokenizerConfig:
     does for the grouping was not measured by itself (docs/log.md)."""
     group_self_attention: bool = True
     """Groups also attend to each other, without which two may claim one object; a deviation."""
+    normalize_scale: bool = True
+    """Divide pointmaps by their mean distance first, and multiply what comes out by it: any unit
+    of length will do then, and lengths of the Gaussian head are in that unit. The paper does not:
+    its scenes are in metres, and so are the bounds of its Gaussians."""
+    pad_duplicates: bool = False
+    """Fill up to num_anchors with copies of the first anchor where there are fewer patches, as the
+    paper's released scenes do (1,024 anchors of 512 patches: 32,768 Gaussians, half of them
+    copies). Off: nothing is lost, from half the Gaussians."""
+    project_assignment: bool = True
+    """Linear maps of anchors and groups before their dot product (Eq. 3); the paper has none."""
     gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
 
     def __post_init__(self):
@@ -53,9 +63,12 @@ PAPER = TokenizerConfig(
     normalize_heads=False,
     anchor_self_attention=False,
     group_self_attention=False,
+    normalize_scale=False,
+    project_assignment=False,
     gaussian_head=GaussianHeadConfig(gaussians_per_anchor=32, seeding="anchor", sh_degree=2),
 )
-"""The sizes of the paper (Sec. 4), for a backbone with patches of 16 pixels."""
+"""The sizes of the paper (Sec. 4), for a backbone with patches of 16 pixels and scenes in metres:
+Gaussians within 0.1 m of their anchor along each axis and no larger than 0.3 m."""
 
 
 class Tokenizer(nn.Module):
@@ -71,8 +84,11 @@ class Tokenizer(nn.Module):
             width,
             patch_size=backbone.patch_size,
             cells_per_side=config.gaussian_head.cells_per_side,
+            normalize_scale=config.normalize_scale,
         )
-        self.place = AnchorPlacement(width, config.num_anchors)
+        self.place = AnchorPlacement(
+            width, config.num_anchors, pad_duplicates=config.pad_duplicates
+        )
         self.anchor_decoder = AnchorDecoder(
             _decoder(config, config.anchor_layers, config.anchor_self_attention)
         )
@@ -81,7 +97,7 @@ class Tokenizer(nn.Module):
             width,
             _decoder(config, config.group_layers, config.group_self_attention),
         )
-        self.assign = Assignment(width)
+        self.assign = Assignment(width, project=config.project_assignment)
         self.gaussian_head = GaussianHead(width, config.gaussian_head)
 
     def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
