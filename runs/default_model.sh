@@ -7,7 +7,7 @@
 # and run it again: finished rooms are kept and training goes on from the newest checkpoint.
 # Times on one core of an Intel Xeon with AMX: rooms 0.3 h, geometry 0.8 h, tokenizer 0.7 h,
 # evaluation 0.2 h. The shipped model is this recipe, not these bits: its geometry run took in more
-# rooms on the way (--add-rooms), and its tokenizer run was ended at step 2,946.
+# rooms on the way (--add-scenes), and its tokenizer run was ended at step 2,946.
 set -euo pipefail
 
 folder=${1:?"give the folder for rooms, runs and the model"}

@@ -1,19 +1,12 @@
 """Box rooms by hand-made ray casting: true depth, ids and cameras at any size, no files."""
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+import torch
 
-
-@dataclass(frozen=True)
-class FakeScene:
-    images: np.ndarray
-    instances: np.ndarray
-    depths_m: np.ndarray
-    world_from_cam: np.ndarray
-    intrinsics: np.ndarray
-    meta: dict[str, Any]
+from instok3d.data.scenes import SceneFrames
 
 
 class FakeRooms:
@@ -26,14 +19,23 @@ class FakeRooms:
     def __len__(self) -> int:
         return len(self.seeds)
 
-    def seed_of(self, number: int) -> int:
-        return self.seeds[number]
+    def name_of(self, number: int) -> str:
+        return str(self.seeds[number])
 
-    def scene(self, index: int) -> FakeScene:
-        return fake_scene(self.seeds[index], self.size)
+    def num_frames(self, number: int) -> int:
+        return 16
+
+    def frames(self, number: int, chosen: Sequence[int]) -> SceneFrames:
+        return take_frames(fake_scene(self.seeds[number], self.size), chosen)
 
 
-def fake_scene(seed: int, size: int, num_frames: int = 16) -> FakeScene:
+def take_frames(scene: SceneFrames, chosen: Sequence[int]) -> SceneFrames:
+    tensors = {key: value for key, value in vars(scene).items() if key != "name"}
+    return SceneFrames(name=scene.name, **{k: v[list(chosen)] for k, v in tensors.items()})
+
+
+@lru_cache(maxsize=32)
+def fake_scene(seed: int, size: int, num_frames: int = 16) -> SceneFrames:
     rng = np.random.default_rng(seed)
     wall_color = rng.uniform(0.5, 0.8, 3)
     centers = np.stack([[-1.0, 0.0, 1.0], [1.1] * 3, rng.uniform(2.5, 3.5, 3)], axis=1)
@@ -76,13 +78,13 @@ def fake_scene(seed: int, size: int, num_frames: int = 16) -> FakeScene:
         instances.append(ids.astype(np.int32))
         depths.append(depth.astype(np.float32))
         poses.append(pose)
-    return FakeScene(
-        images=np.stack(images),
-        instances=np.stack(instances),
-        depths_m=np.stack(depths),
-        world_from_cam=np.stack(poses),
-        intrinsics=np.stack([intrinsics] * num_frames),
-        meta={"seed": seed},
+    return SceneFrames(
+        name=str(seed),
+        images=torch.from_numpy(np.stack(images)),
+        instances=torch.from_numpy(np.stack(instances)),
+        depths_m=torch.from_numpy(np.stack(depths)),
+        world_from_cam=torch.from_numpy(np.stack(poses)),
+        intrinsics=torch.from_numpy(np.stack([intrinsics] * num_frames)),
     )
 
 

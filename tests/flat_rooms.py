@@ -1,13 +1,15 @@
 """A hand-made room of three flat things, and a model that knows all about it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from fake_rooms import take_frames
 from instok3d.data.sample import Sample
+from instok3d.data.scenes import SceneFrames
 from instok3d.geometry.cameras import invert_rigid, rigid, transform_points, unproject
 from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups, Views
@@ -38,8 +40,19 @@ class FlatRooms:
     def __len__(self) -> int:
         return len(self.rooms)
 
-    def scene(self, index: int) -> FlatRoom:
-        return self.rooms[index]
+    def name_of(self, number: int) -> str:
+        return str(self.seeds[number])
+
+    def level_of(self, number: int) -> str:
+        return self.rooms[number].meta["level"]
+
+    def num_frames(self, number: int) -> int:
+        return 16
+
+    def frames(self, number: int, chosen: Sequence[int]) -> SceneFrames:
+        room = vars(self.rooms[number]).items()
+        arrays = {key: torch.from_numpy(value) for key, value in room if key != "meta"}
+        return take_frames(SceneFrames(name=self.name_of(number), **arrays), chosen)
 
 
 def flat_room(seed: int = 0, level: str = "easy") -> FlatRoom:

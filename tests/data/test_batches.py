@@ -2,14 +2,14 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
-from instok3d.data.batches import BatchConfig, RoomBatches
+from instok3d.data.batches import BatchConfig, SceneBatches
 from instok3d.data.sample import Sample
 
 CONFIG = BatchConfig(batch_size=2, views=(2, 2, 3))
 
 
-def batches(*, seed: int = 0, rank: int = 0, world_size: int = 1, config=CONFIG) -> RoomBatches:
-    return RoomBatches(
+def batches(*, seed: int = 0, rank: int = 0, world_size: int = 1, config=CONFIG) -> SceneBatches:
+    return SceneBatches(
         FakeRooms(5, size=16), range(5), config, seed=seed, rank=rank, world_size=world_size
     )
 
@@ -39,7 +39,7 @@ def test_two_ranks_share_the_batch_of_one():
 
 def test_an_epoch_sees_every_scene_once():
     one = batches(config=BatchConfig(batch_size=1))
-    seeds = [one.batch(step).names[0].split()[1] for step in range(10)]
+    seeds = [one.batch(step).names[0].split()[0] for step in range(10)]
     assert sorted(seeds[:5]) == sorted(seeds[5:]) == list("01234")
 
 
@@ -73,7 +73,7 @@ def test_photometric_change_is_one_for_all_views_of_a_scene():
 
 def test_no_scene_and_wrong_rank_are_refused():
     with pytest.raises(ValueError, match="at least one scene"):
-        RoomBatches(FakeRooms(1), [], CONFIG, seed=0)
+        SceneBatches(FakeRooms(1), [], CONFIG, seed=0)
     with pytest.raises(ValueError, match=r"rank must be in 0\.\.1"):
         batches(rank=2, world_size=2)
 

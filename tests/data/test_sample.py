@@ -13,7 +13,7 @@ from instok3d.geometry.cameras import invert_rigid, project, transform_points, u
 
 @pytest.fixture(scope="module")
 def sample():
-    return make_sample(FakeRooms(1, size=24).scene(0), FrameChoice((4, 2), (3, 4)))
+    return make_sample(FakeRooms(1, size=24), 0, FrameChoice((4, 2), (3, 4)))
 
 
 def test_first_context_camera_is_the_world(sample):
@@ -52,17 +52,17 @@ def test_photos_only_hides_what_is_known(sample):
 
 
 def test_collate_keeps_order_and_names(sample):
-    other = make_sample(FakeRooms(2, size=24).scene(1), FrameChoice((0, 2), (1, 0)))
+    other = make_sample(FakeRooms(2, size=24), 1, FrameChoice((0, 2), (1, 0)))
     both = collate([sample, other])
     assert both.context.images.shape == (2, 2, 3, 24, 24)
     assert both.target.depths is not None
     assert other.target.depths is not None
     assert torch.equal(both.target.depths[1], other.target.depths[0])
-    assert both.names == ("seed 0 frames 4,2", "seed 1 frames 0,2")
+    assert both.names == ("0 frames 4,2", "1 frames 0,2")
 
 
 def test_collate_refuses_nothing_and_unlike_samples(sample):
-    other = make_sample(FakeRooms(1, size=24).scene(0), FrameChoice((0, 2, 4), (1, 0)))
+    other = make_sample(FakeRooms(1, size=24), 0, FrameChoice((0, 2, 4), (1, 0)))
     with pytest.raises(ValueError, match="at least one"):
         collate([])
     with pytest.raises(ValueError, match="agree in views"):

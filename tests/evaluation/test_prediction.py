@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from flat_rooms import flat_room, in_another_world, oracle
+from flat_rooms import FlatRooms, in_another_world, oracle
 from instok3d.data.batches import make_sample
 from instok3d.data.sample import Sample, collate
 from instok3d.data.view_sampling import FrameChoice
@@ -11,6 +11,8 @@ from instok3d.evaluation.image_quality import psnr
 from instok3d.evaluation.instance_ap import average_precision, match_image
 from instok3d.evaluation.prediction import predict
 from instok3d.types import TokenGroups, Views
+
+ROOMS = FlatRooms([0], ["easy"])
 
 
 @pytest.mark.parametrize("mode", ["given", "predicted"])
@@ -58,7 +60,7 @@ def test_the_world_of_the_truth_does_not_matter_for_photos(flat_sample):
 def test_true_depth_never_enters_the_picture(flat_sample):
     # With depth made wrong by a factor of two, only the diagnostic that is scaled by it changes.
     # (The target is not midway, where no length would matter.)
-    sample = make_sample(flat_room(), FrameChoice((4, 12), (6,)))
+    sample = make_sample(ROOMS, 0, FrameChoice((4, 12), (6,)))
     assert sample.context.depths is not None
     halved = replace(sample.context, depths=sample.context.depths / 2)
     plain = predict(oracle(sample), sample, "predicted")

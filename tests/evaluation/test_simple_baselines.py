@@ -1,20 +1,22 @@
 import torch
 
-from flat_rooms import flat_room, oracle
+from flat_rooms import FlatRooms, oracle
 from instok3d.data.batches import make_sample
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.evaluation.image_quality import psnr
 from instok3d.evaluation.simple_baselines import color_masks, nearest_contexts, warped_photos
 from instok3d.types import Cameras
 
+ROOMS = FlatRooms([0], ["easy"])
+
 
 def test_nearest_context_is_by_the_place_of_the_camera():
-    sample = make_sample(flat_room(), FrameChoice((2, 8, 14), (3, 10, 12)))
+    sample = make_sample(ROOMS, 0, FrameChoice((2, 8, 14), (3, 10, 12)))
     assert nearest_contexts(sample).tolist() == [0, 1, 2]
 
 
 def test_warping_by_true_depth_beats_the_photo_as_it_is():
-    sample = make_sample(flat_room(), FrameChoice((6, 10), (8,)))
+    sample = make_sample(ROOMS, 0, FrameChoice((6, 10), (8,)))
     target = sample.target
     assert target.cam_from_world is not None
     assert target.intrinsics is not None
@@ -25,13 +27,13 @@ def test_warping_by_true_depth_beats_the_photo_as_it_is():
     assert psnr(warped, target.images[0]).item() > psnr(nearest, target.images[0]).item() + 3
     # Seen from its own camera a photo warps onto itself: each pixel falls on its own centre.
     own = Cameras(torch.eye(4)[None], target.intrinsics[0])
-    same = make_sample(flat_room(), FrameChoice((6, 10), (6,)))
+    same = make_sample(ROOMS, 0, FrameChoice((6, 10), (6,)))
     again = warped_photos(same, geometry, own)
     assert psnr(again, same.target.images[0]).item() > 60
 
 
 def test_the_nearer_surface_hides_the_farther_one():
-    sample = make_sample(flat_room(), FrameChoice((6, 10), (7,)))
+    sample = make_sample(ROOMS, 0, FrameChoice((6, 10), (7,)))
     geometry = oracle(sample)(sample.context).geometry
     target = sample.target
     assert target.cam_from_world is not None

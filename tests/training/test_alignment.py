@@ -17,7 +17,7 @@ from instok3d.types import Cameras, Geometry
 @pytest.fixture(scope="module")
 def sample():
     rooms = FakeRooms(2, size=16)
-    return collate([make_sample(rooms.scene(k), FrameChoice((4, 8), (6, 8))) for k in (0, 1)])
+    return collate([make_sample(rooms, k, FrameChoice((4, 8), (6, 8))) for k in (0, 1)])
 
 
 def predicted_in_units_of(length_m: float, sample) -> Geometry:

@@ -18,7 +18,7 @@ from instok3d.training.checkpoint import (
 def make_state() -> RunState:
     model = nn.Linear(40, 30)
     optimizer = torch.optim.AdamW(model.parameters(), fused=True)
-    return RunState(model, optimizer, WeightAverage(model, 0.9), scene_seeds=[3, 1])
+    return RunState(model, optimizer, WeightAverage(model, 0.9), scene_names=["3", "1"])
 
 
 def test_last_two_checkpoints_stay(tmp_path):
@@ -67,7 +67,15 @@ def test_restore_brings_back_all_generators(tmp_path):
     assert torch.equal(torch.rand(3), expected[0])
     assert np.array_equal(np.random.rand(3), expected[1])
     assert random.random() == expected[2]
-    assert state.scene_seeds == [3, 1]
+    assert state.scene_names == ["3", "1"]
+
+
+def test_seeds_of_an_older_checkpoint_become_names(tmp_path):
+    path = save_checkpoint(tmp_path, make_state(), {})
+    content = torch.load(path, weights_only=True)
+    del content["scene_names"]
+    torch.save({**content, "version": 1, "scene_seeds": [3, 1]}, path)
+    assert read_checkpoint(tmp_path)["scene_names"] == ["3", "1"]
 
 
 def test_average_by_hand():

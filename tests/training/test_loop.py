@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import save_file
 
 from fake_rooms import FakeRooms
-from instok3d.data.batches import RoomBatches
+from instok3d.data.batches import SceneBatches
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.loop import train
@@ -51,10 +51,10 @@ def test_new_scenes_join_on_request_behind_the_held_out_ones(tmp_path):
     train(replace(TINY, steps=1), ToyStage(), FakeRooms(4, 16, first_seed=10), tmp_path)
     more = FakeRooms(20, 16)
     train(replace(TINY, steps=2), ToyStage(), more, tmp_path, resume=True)
-    assert read_checkpoint(tmp_path)["scene_seeds"] == [10, 11, 12, 13]
-    train(replace(TINY, steps=3), ToyStage(), more, tmp_path, resume=True, add_rooms=True)
-    assert read_checkpoint(tmp_path)["scene_seeds"][:5] == [10, 11, 12, 13, 0]
-    assert len(read_checkpoint(tmp_path)["scene_seeds"]) == 20
+    assert read_checkpoint(tmp_path)["scene_names"] == ["10", "11", "12", "13"]
+    train(replace(TINY, steps=3), ToyStage(), more, tmp_path, resume=True, add_scenes=True)
+    assert read_checkpoint(tmp_path)["scene_names"][:5] == ["10", "11", "12", "13", "0"]
+    assert len(read_checkpoint(tmp_path)["scene_names"]) == 20
 
 
 def test_run_leaves_metrics_pictures_and_curves(tmp_path):
@@ -73,7 +73,7 @@ def test_non_finite_loss_stops_before_the_update_and_keeps_the_batch(tmp_path):
         train(config, ToyStage(bad_step=3), ROOMS, tmp_path)
     assert read_checkpoint(tmp_path)["step"] == 3
     saved = torch.load(tmp_path / "bad_batch_00000003.pt", weights_only=True)
-    batch = RoomBatches(ROOMS, range(2, 5), TINY.batches, seed=0).batch(3)
+    batch = SceneBatches(ROOMS, range(2, 5), TINY.batches, seed=0).batch(3)
     assert saved["names"] == list(batch.names)
     assert torch.equal(saved["context"]["images"], batch.context.images)
 
@@ -155,20 +155,20 @@ def test_norms_biases_and_embeddings_are_not_decayed():
 
 
 def test_held_out_scenes_are_the_first_and_stay_so():
-    held_out, training = split_scenes(ROOMS, [0, 1, 2, 3], 1)
+    held_out, training = split_scenes(ROOMS, list("0123"), 1)
     assert (held_out, training) == ([0], [1, 2, 3])
     with pytest.raises(ValueError, match=r"holdout must be at least 1 .* got 0"):
-        split_scenes(ROOMS, [0, 1], 0)
+        split_scenes(ROOMS, ["0", "1"], 0)
     with pytest.raises(ValueError, match="5 scenes and 5 are held out"):
-        split_scenes(ROOMS, list(ROOMS.seeds), 5)
-    with pytest.raises(ValueError, match="no longer has, the first is seed 77"):
-        split_scenes(ROOMS, [0, 77], 1)
+        split_scenes(ROOMS, list("01234"), 5)
+    with pytest.raises(ValueError, match="no longer has, the first is 77"):
+        split_scenes(ROOMS, ["0", "77"], 1)
 
 
 def test_validation_looks_at_the_protocols():
     two = validation_samples(ROOMS, [0, 1, 2], 2)
     assert [s.context.images.shape[0] for s in two] == [3]
-    assert two[0].names[0] == "seed 0 frames 7,9"
+    assert two[0].names[0] == "0 frames 7,9"
     eight = validation_samples(ROOMS, [0, 1], 8)
     assert [s.target.images.shape[:2] for s in eight] == [(1, 7), (1, 7)]
     with pytest.raises(ValueError, match="2 or 8"):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
-from instok3d.data.batches import BatchConfig, RoomBatches
+from instok3d.data.batches import BatchConfig, SceneBatches
 from instok3d.data.sample import Sample
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.gaussian_head import GaussianHeadConfig
@@ -33,7 +33,7 @@ TINY = TokenizerStageConfig(
 
 @pytest.fixture(scope="module")
 def sample() -> Sample:
-    return RoomBatches(FakeRooms(2, size=32), [0, 1], BatchConfig(2), seed=0).batch(0)
+    return SceneBatches(FakeRooms(2, size=32), [0, 1], BatchConfig(2), seed=0).batch(0)
 
 
 @pytest.fixture(scope="module")

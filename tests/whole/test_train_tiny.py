@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
-from instok3d.data.batches import BatchConfig, RoomBatches
+from instok3d.data.batches import BatchConfig, SceneBatches
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.files import load_model, read_card
 from instok3d.model.gaussian_head import GaussianHeadConfig
@@ -41,7 +41,7 @@ def test_tokenizer_learns_one_sample_by_heart():
     )
     stage = TokenizerStage(config)
     model = stage.build_model()
-    sample = RoomBatches(ROOMS, [0], BatchConfig(1, photometric=False), seed=0).batch(0)
+    sample = SceneBatches(ROOMS, [0], BatchConfig(1, photometric=False), seed=0).batch(0)
     optimizer = torch.optim.AdamW([p for p in model.parameters() if p.requires_grad], lr=2e-3)
     terms = []
     for step in range(25):

@@ -29,8 +29,8 @@ class RunArguments:
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
     them, except that one which is the preset's own cannot be told from one not given."""
-    add_rooms: bool = False
-    """On resuming, also train on the rooms that the folder has gained since the run began."""
+    add_scenes: bool = False
+    """On resuming, also train on the scenes that the folder has gained since the run began."""
     init_from: Path | None = None
     """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
     run that trained its backbone, or a tokenizer run."""
@@ -78,7 +78,7 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         RoomDataset(arguments.data, split_seeds("train")),
         arguments.output,
         resume=arguments.resume,
-        add_rooms=arguments.add_rooms,
+        add_scenes=arguments.add_scenes,
         init_from=arguments.init_from,
         time_limit_min=arguments.time_limit_min,
     )

@@ -4,62 +4,16 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 
 from instok3d.data.photometric import photometric_change
 from instok3d.data.sample import Sample, collate
+from instok3d.data.scenes import SceneSource
 from instok3d.data.view_sampling import FrameChoice, sample_many_views, sample_two_views
 from instok3d.geometry.cameras import invert_rigid, relative_to_first
 from instok3d.types import Views
-
-
-@runtime_checkable
-class SceneFrames(Protocol):
-    """All frames of one scene with the truth about them, as `RoomScene` holds it."""
-
-    @property
-    def images(self) -> np.ndarray | torch.Tensor:
-        """[frame, height, width, 3] uint8."""
-        ...
-
-    @property
-    def instances(self) -> np.ndarray | torch.Tensor:
-        """[frame, height, width], 0 = no instance."""
-        ...
-
-    @property
-    def depths_m(self) -> np.ndarray | torch.Tensor:
-        """[frame, height, width]."""
-        ...
-
-    @property
-    def world_from_cam(self) -> np.ndarray | torch.Tensor:
-        """[frame, 4, 4], metres."""
-        ...
-
-    @property
-    def intrinsics(self) -> np.ndarray | torch.Tensor:
-        """[frame, 3, 3], pixels."""
-        ...
-
-    @property
-    def meta(self) -> dict[str, Any]:
-        """At least the seed."""
-        ...
-
-
-@runtime_checkable
-class SceneSource(Protocol):
-    """Scenes by number; `RoomDataset` reads them from rendered rooms."""
-
-    def __len__(self) -> int: ...
-
-    def scene(self, index: int, /) -> SceneFrames:
-        """All frames of one scene."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -84,7 +38,7 @@ class BatchConfig:
             raise ValueError(f"num_targets must be at least 1, got {self.num_targets}")
 
 
-class RoomBatches:
+class SceneBatches:
     """Batches by step. Equal arguments give equal bytes, whatever was asked for before.
 
     The global batch of a step is cut into one part for each rank, so the samples of a two-view
@@ -109,7 +63,7 @@ class RoomBatches:
         world_size: int = 1,
     ) -> None:
         if not scenes:
-            raise ValueError("RoomBatches needs at least one scene, got an empty list")
+            raise ValueError("SceneBatches needs at least one scene, got an empty list")
         if not 0 <= rank < world_size:
             raise ValueError(f"rank must be in 0..{world_size - 1}, got {rank}")
         self.source = source
@@ -146,39 +100,47 @@ class RoomBatches:
         epoch, position = divmod(place, len(self.scenes))
         index = self.scenes[self._epoch_order(epoch)[position]]
         rng = np.random.default_rng([self.seed, 2, place])
-        scene = self.source.scene(index)
-        targets = self.config.num_targets
+        num_frames, targets = self.source.num_frames(index), self.config.num_targets
         if views == 2:
-            choice = sample_two_views(rng, len(scene.images), num_targets=targets)
+            choice = sample_two_views(rng, num_frames, num_targets=targets)
         else:
-            choice = sample_many_views(rng, len(scene.images), num_views=views, num_targets=targets)
-        return make_sample(scene, choice, photometric_rng=rng if self.config.photometric else None)
+            choice = sample_many_views(rng, num_frames, num_views=views, num_targets=targets)
+        photometric_rng = rng if self.config.photometric else None
+        return make_sample(self.source, index, choice, photometric_rng=photometric_rng)
 
 
 def make_sample(
-    scene: SceneFrames, choice: FrameChoice, *, photometric_rng: np.random.Generator | None = None
+    source: SceneSource,
+    number: int,
+    choice: FrameChoice,
+    *,
+    photometric_rng: np.random.Generator | None = None,
 ) -> Sample:
     """The chosen frames of a scene as a batch of one, cameras relative to the first context.
 
     Args:
-        scene: A scene with true cameras, depth and ids.
-        choice: Its context and target frames.
+        source: Scenes with cameras, depth and ids.
+        number: Which scene.
+        choice: Its context and target frames; each is read once.
         photometric_rng: Draws a photometric change; None leaves the images as they are.
     """
-    frames = list(choice.context + choice.target)
+    frames = choice.context + choice.target
+    read = sorted(set(frames))
+    scene = source.frames(number, read)
+    order = torch.tensor([read.index(frame) for frame in frames])
     num_context = len(choice.context)
-    images = torch.from_numpy(np.asarray(scene.images)[frames]).permute(0, 3, 1, 2).float() / 255
+    images = scene.images[order].permute(0, 3, 1, 2).float() / 255
     context_images, target_images = images[:num_context], images[num_context:]
     if photometric_rng is not None:
         context_images, target_images = photometric_change(
             photometric_rng, context_images, target_images
         )
     # Inverted and chained in float64: a float32 inverse would cost 1e-6 m for nothing.
-    world_from_cam = torch.from_numpy(np.asarray(scene.world_from_cam)[frames]).double()
+    world_from_cam = scene.world_from_cam[order].double()
     cam_from_world = relative_to_first(invert_rigid(world_from_cam)).float()
-    intrinsics = torch.from_numpy(np.asarray(scene.intrinsics)[frames]).float()
-    depths = torch.from_numpy(np.asarray(scene.depths_m)[frames]).float()
-    instances = torch.from_numpy(np.asarray(scene.instances)[frames].astype(np.int64))
+    intrinsics = scene.intrinsics[order].float()
+    depths = scene.depths_m[order].float()
+    instances = scene.instances[order].long()
 
     def views(images: torch.Tensor, part: slice) -> Views:
         return Views(
@@ -195,5 +157,5 @@ def make_sample(
         target=views(target_images, target),
         context_instances=instances[context][None],
         target_instances=instances[target][None],
-        names=(f"seed {scene.meta['seed']} frames {frame_names}",),
+        names=(f"{scene.name} frames {frame_names}",),
     )

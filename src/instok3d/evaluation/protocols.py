@@ -2,12 +2,13 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from instok3d.data.batches import SceneSource, make_sample
+from instok3d.data.batches import make_sample
 from instok3d.data.sample import Sample
+from instok3d.data.scenes import SceneSource
 from instok3d.data.view_sampling import FrameChoice, eight_view_protocol, two_view_protocol
 
 ProtocolName = Literal["rooms-2view", "rooms-8view"]
@@ -16,6 +17,15 @@ TEST_SEEDS = range(2_000_000, 2_000_100)
 """The rooms that every figure is measured on; no model may have seen them."""
 
 LEVELS = ("easy", "medium", "hard")
+
+
+@runtime_checkable
+class RoomSource(SceneSource, Protocol):
+    """Rooms: their names are seeds, and each has a level."""
+
+    def level_of(self, number: int, /) -> str:
+        """One of LEVELS."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ def room_indices(
 
 
 def protocol_rooms(
-    source: SceneSource,
+    source: RoomSource,
     indices: Sequence[int],
     protocol: ProtocolName,
     *,
@@ -96,10 +106,10 @@ def protocol_rooms(
 ) -> Iterator[ProtocolRoom]:
     """The rooms one after the other, read when their turn comes."""
     for index in indices:
-        scene = source.scene(index)
-        choices = frame_choices(protocol, len(scene.images), targets_per_scene=targets_per_scene)
+        num_frames = source.num_frames(index)
+        choices = frame_choices(protocol, num_frames, targets_per_scene=targets_per_scene)
         yield ProtocolRoom(
-            seed=int(scene.meta["seed"]),
-            level=str(scene.meta["level"]),
-            samples=tuple(make_sample(scene, choice) for choice in choices),
+            seed=int(source.name_of(index)),
+            level=source.level_of(index),
+            samples=tuple(make_sample(source, index, choice) for choice in choices),
         )

@@ -77,7 +77,7 @@ class RunState:
     skipped: int = 0
     """Updates left out because of a non-finite gradient."""
     skipped_in_a_row: int = 0
-    scene_seeds: list[int] = field(default_factory=list)
+    scene_names: list[str] = field(default_factory=list)
     """The scenes of the data set that this run uses, held-out ones first."""
 
 
@@ -93,12 +93,12 @@ def save_checkpoint(folder: Path, state: RunState, config: dict[str, Any]) -> Pa
     checkpoints.mkdir(parents=True, exist_ok=True)
     path = checkpoints / f"step_{state.step:08d}.pt"
     content = {
-        "version": 1,
+        "version": 2,
         "step": state.step,
         "elapsed_s": state.elapsed_s,
         "skipped": state.skipped,
         "skipped_in_a_row": state.skipped_in_a_row,
-        "scene_seeds": state.scene_seeds,
+        "scene_names": state.scene_names,
         "config": json.dumps(config),
         "commit": current_commit(),
         "model": state.model.state_dict(),
@@ -128,11 +128,18 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
             with zipfile.ZipFile(path) as archive:  # torch.load does not look at the checksums
                 if broken := archive.testzip():
                     raise zipfile.BadZipFile(f"wrong checksum of {broken}")
-            return torch.load(path, map_location="cpu", weights_only=True)
+            return _upgraded(torch.load(path, map_location="cpu", weights_only=True))
         except (RuntimeError, EOFError, OSError, zipfile.BadZipFile, pickle.UnpicklingError) as e:
             reason = str(e).splitlines()[0] if str(e) else type(e).__name__
             warnings.warn(f"{path.name} is damaged ({reason}); trying the one before", stacklevel=2)
     raise ValueError(f"all checkpoints in {folder / 'checkpoints'} are damaged; start the run anew")
+
+
+def _upgraded(checkpoint: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint of version 1 knew rooms by their seeds; their names are these as text."""
+    if "scene_seeds" in checkpoint:
+        checkpoint["scene_names"] = [str(seed) for seed in checkpoint.pop("scene_seeds")]
+    return checkpoint
 
 
 def restore(state: RunState, checkpoint: dict[str, Any]) -> None:
@@ -154,7 +161,7 @@ def restore(state: RunState, checkpoint: dict[str, Any]) -> None:
     state.elapsed_s = checkpoint["elapsed_s"]
     state.skipped = checkpoint["skipped"]
     state.skipped_in_a_row = checkpoint["skipped_in_a_row"]
-    state.scene_seeds = checkpoint["scene_seeds"]
+    state.scene_names = checkpoint["scene_names"]
     _set_random_state(checkpoint["random"])
 
 

@@ -40,7 +40,7 @@ def export_model(
         "image_side": image_side,
         "steps": checkpoint["step"],
         "hours": round(checkpoint["elapsed_s"] / 3600, 2),
-        "scenes": len(checkpoint["scene_seeds"]),
+        "scenes": len(checkpoint["scene_names"]),
         "commit": checkpoint["commit"],
         "validation": validation[-1] if validation else {},
         "config": json.loads(checkpoint["config"]),

@@ -10,8 +10,9 @@ from typing import Literal
 
 import torch
 
-from instok3d.data.batches import RoomBatches
+from instok3d.data.batches import SceneBatches
 from instok3d.data.sample import Sample
+from instok3d.data.scenes import SceneSource
 from instok3d.files import replacing
 from instok3d.training.checkpoint import (
     RunState,
@@ -23,7 +24,7 @@ from instok3d.training.checkpoint import (
     save_checkpoint,
 )
 from instok3d.training.config import TrainConfig, to_json, write_config
-from instok3d.training.held_out import SeededSource, split_scenes, validation_samples
+from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.plots import plot_curves
 from instok3d.training.run_log import RunLog, RunningMeans
 from instok3d.training.schedule import learning_rate
@@ -42,11 +43,11 @@ class TrainOutcome:
 def train(
     config: TrainConfig,
     stage: Stage,
-    source: SeededSource,
+    source: SceneSource,
     folder: Path,
     *,
     resume: bool = False,
-    add_rooms: bool = False,
+    add_scenes: bool = False,
     init_from: Path | None = None,
     time_limit_min: float | None = None,
 ) -> TrainOutcome:
@@ -61,7 +62,7 @@ def train(
         source: Scenes. The run uses those that are there when it starts, also after resuming.
         folder: The run.
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
-        add_rooms: On resuming, also use the scenes that the data set has gained since; the run is
+        add_scenes: On resuming, also use the scenes that the data set has gained since; the run is
             then a new one from here on. The held-out scenes stay the same.
         init_from: A run folder or .safetensors file to take first weights from.
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
@@ -77,16 +78,16 @@ def train(
     torch.manual_seed(config.seed)
     folder.mkdir(parents=True, exist_ok=True)
     state = new_state(config, stage)
-    all_seeds = [source.seed_of(number) for number in range(len(source))]
+    all_names = [source.name_of(number) for number in range(len(source))]
     if resume:
         restore(state, read_checkpoint(folder))
-        if add_rooms:
-            known = set(state.scene_seeds)
-            state.scene_seeds += [seed for seed in all_seeds if seed not in known]
+        if add_scenes:
+            known = set(state.scene_names)
+            state.scene_names += [name for name in all_names if name not in known]
     elif (folder / "checkpoints").exists():
         raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
     else:
-        state.scene_seeds = all_seeds
+        state.scene_names = all_names
         if init_from is not None:
             try:
                 stage.load_initial(state.model, read_weights(init_from))
@@ -96,8 +97,8 @@ def train(
                 ) from error
             state.average = WeightAverage(state.model, config.ema_decay)
     write_config(folder, config, commit=current_commit())
-    held_out, training = split_scenes(source, state.scene_seeds, config.holdout)
-    batches = RoomBatches(source, training, config.batches, seed=config.seed)
+    held_out, training = split_scenes(source, state.scene_names, config.holdout)
+    batches = SceneBatches(source, training, config.batches, seed=config.seed)
     validation = {
         views: [s.to(config.device) for s in validation_samples(source, held_out, views)]
         for views in config.validation_views

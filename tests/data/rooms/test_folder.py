@@ -84,6 +84,17 @@ def test_what_was_written_is_read_back_in_order_of_seeds(folder):
         dataset.scene(3)
 
 
+def test_single_frames_are_those_of_the_whole_scene_in_the_order_asked_for(folder):
+    put(folder, 0, 4, 9)
+    dataset = RoomDataset(folder)
+    assert (dataset.name_of(1), dataset.num_frames(1), dataset.level_of(1)) == ("9", 16, "easy")
+    some, whole = dataset.frames(1, [7, 2, 7]), dataset.scene(1)
+    for name in ("images", "instances", "depths_m", "world_from_cam", "intrinsics"):
+        assert getattr(some, name).equal(getattr(whole, name)[[7, 2, 7]])
+    with pytest.raises(IndexError, match=r"0\.\.15 exist, got \[16\]"):
+        dataset.frames(1, [16])
+
+
 def test_a_range_of_seeds_can_be_read_alone(folder):
     put(folder, 0, 4, 9)
     dataset = RoomDataset(folder, range(5, 10))

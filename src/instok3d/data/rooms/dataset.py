@@ -1,6 +1,7 @@
 """Reading a folder of rooms, also while it is being written."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.data.rooms.shards import read_index
+from instok3d.data.scenes import SceneFrames
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,9 @@ class RoomDataset:
         """Take up shards that were finished since the index was last read."""
         index = read_index(self.folder)
         self.resolution: int = index["resolution"]
+        self._frames_per_scene: int = index["frames"]
         found = [
-            (seed, name, row)
+            (seed, name, row, record["levels"][row])
             for name, record in index["shards"].items()
             for row, seed in enumerate(record["seeds"])
             if self.seeds is None or seed in self.seeds
@@ -71,6 +74,43 @@ class RoomDataset:
         """The seed of scene `number`, without reading it."""
         return self._scenes[number][0]
 
+    def level_of(self, number: int) -> str:
+        """easy, medium or hard, without reading the scene."""
+        return self._scenes[number][3]
+
+    def name_of(self, number: int) -> str:
+        """The seed as text."""
+        return str(self.seed_of(number))
+
+    def num_frames(self, number: int) -> int:
+        """The same for all rooms of a folder."""
+        return self._frames_per_scene
+
+    def frames(self, number: int, chosen: Sequence[int]) -> SceneFrames:
+        """These frames of scene `number`; the others are not read.
+
+        Raises:
+            IndexError: There is no such scene or frame.
+            ValueError: Its file is missing or damaged.
+        """
+        if not all(0 <= frame < self._frames_per_scene for frame in chosen):
+            raise IndexError(f"frames 0..{self._frames_per_scene - 1} exist, got {list(chosen)}")
+        _, name, row, _ = self._scenes[number]
+        shard, _ = self._shard(name)
+
+        def read(key: str) -> Tensor:
+            whole = shard.get_slice(key)
+            return torch.stack([whole[row, frame] for frame in chosen])
+
+        return SceneFrames(
+            name=self.name_of(number),
+            images=read("images"),
+            instances=read("instances").to(torch.int64),
+            depths_m=read("depths_mm").to(torch.float32) / 1000,
+            world_from_cam=read("world_from_cam"),
+            intrinsics=read("intrinsics"),
+        )
+
     def scene(self, number: int) -> RoomScene:
         """Scene `number`; one copy out of the mapped file.
 
@@ -78,7 +118,7 @@ class RoomDataset:
             IndexError: There is no such scene.
             ValueError: Its file is missing or damaged.
         """
-        _, name, row = self._scenes[number]
+        _, name, row, _ = self._scenes[number]
         shard, metas = self._shard(name)
 
         def read(key: str) -> Tensor:
