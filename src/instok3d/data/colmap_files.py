@@ -16,6 +16,8 @@ _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
     ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
     ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
 _COUNTS = dict(_MODELS)
 
@@ -56,6 +58,8 @@ class ColmapCamera:
 class ColmapImage:
     """One registered photo."""
 
+    number: int
+    """COLMAP's image id."""
     name: str
     rotation: Float[Tensor, "3 3"]
     """Of cam_from_world."""
@@ -119,11 +123,12 @@ def _images_from_bytes(data: bytes, cameras: dict[int, ColmapCamera]) -> list[Co
     (count,) = struct.unpack_from("<Q", data, 0)
     at, images = 8, []
     for _ in range(count):
-        _, *pose, camera = struct.unpack_from("<i7di", data, at)
+        number, *pose, camera = struct.unpack_from("<i7di", data, at)
         end = data.find(b"\0", at + 64)
         if end < 0:
             raise IndexError("a name without its end")
-        images.append(_image(data[at + 64 : end].decode("utf-8"), pose, camera, cameras))
+        name = data[at + 64 : end].decode("utf-8")
+        images.append(_image(number, name, pose, camera, cameras))
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + 24 * points
         if at > len(data):
@@ -151,18 +156,18 @@ def _images_from_text(text: str, cameras: dict[int, ColmapCamera]) -> list[Colma
     for line in lines[::2]:  # every second line lists 2D points and may be empty
         if not line.strip():
             continue
-        _, *rest = line.split(maxsplit=9)
+        number, *rest = line.split(maxsplit=9)
         pose, camera, name = [float(value) for value in rest[:7]], int(rest[7]), rest[8].strip()
-        images.append(_image(name, pose, camera, cameras))
+        images.append(_image(int(number), name, pose, camera, cameras))
     return images
 
 
 def _image(
-    name: str, pose: list[float], camera: int, cameras: dict[int, ColmapCamera]
+    number: int, name: str, pose: list[float], camera: int, cameras: dict[int, ColmapCamera]
 ) -> ColmapImage:
     if camera not in cameras:
         raise ValueError(f"the image {name} has camera {camera}, which is not there")
     quat, translation = torch.tensor(pose, dtype=torch.float64).split([4, 3])
     if not math.isclose(float(quat.norm()), 1.0, abs_tol=1e-3):
         raise ValueError(f"the image {name} has a quaternion of length {float(quat.norm()):.3g}")
-    return ColmapImage(name, quat_to_matrix(quat), translation, cameras[camera])
+    return ColmapImage(number, name, quat_to_matrix(quat), translation, cameras[camera])
