@@ -1,12 +1,14 @@
 """From a tokenizer run to the one file that reconstruction loads."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from instok3d.model.files import save_model
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
+from instok3d.training.feature_cache import FeatureCache, with_backbone
 from instok3d.training.run_log import read_metrics
 from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
 
@@ -32,8 +34,11 @@ def export_model(
     config = from_json(TrainConfig, json.loads(checkpoint["config"]))
     if not isinstance(config.stage, TokenizerStageConfig):
         raise ValueError(f"{run} trains {type(config.stage).__name__}; export a tokenizer run")
-    model = TokenizerStage(config.stage).build_model()
-    model.load_state_dict({**checkpoint["model"], **checkpoint["average"]})
+    weights = {**checkpoint["model"], **checkpoint["average"]}
+    if config.stage.cache:
+        weights = with_backbone(FeatureCache(config.stage.cache), weights)
+    model = TokenizerStage(replace(config.stage, cache=None)).build_model()
+    model.load_state_dict(weights)
     validation = [x for x in read_metrics(run / "metrics.jsonl") if x["kind"] == "validation"]
     card = {
         "name": output.stem,

@@ -1,5 +1,7 @@
 """Which scenes of a data set a run trains on, and which samples it is validated with."""
 
+from dataclasses import replace
+
 from instok3d.data.batches import make_sample
 from instok3d.data.sample import Sample, collate
 from instok3d.data.scenes import SceneSource
@@ -45,6 +47,7 @@ def validation_samples(
     singles = []
     for index in scenes:
         protocol = two_view_protocol if views == 2 else eight_view_protocol
-        singles.append(make_sample(source, index, protocol(source.num_frames(index))))
+        sample = make_sample(source, index, protocol(source.num_frames(index)))
+        singles.append(replace(sample, keys=(f"{source.name_of(index)}/{views}/validation",)))
     size = max(1, batch_size * 2 // views)
     return [collate(singles[k : k + size]) for k in range(0, len(singles), size)]
