@@ -6,7 +6,7 @@ samples of it, by the samples' keys, for the kinds of input that the run needs.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -123,14 +123,17 @@ class FeatureCache:
                     geometry.pointmaps[scene] = entry["pointmaps"].to(geometry.pointmaps)
         return geometry
 
-    def scene_metadata(self, name: str) -> dict[str, str] | None:
-        """What the file of a scene says of itself; None where there is none.
+    def has_scene(self, name: str) -> bool:
+        """Whether the scene has a file, whole or not."""
+        return scene_path(self.folder, name).is_file()
+
+    def scene_metadata(self, name: str) -> dict[str, str]:
+        """What the file of a scene says of itself: hashes of the settings and of the scene.
 
         Raises:
-            ValueError: The file is damaged.
+            KeyError: There is no such file.
+            ValueError: It is damaged.
         """
-        if not scene_path(self.folder, name).exists():
-            return None
         return self._open(name)[1]
 
     def _entry(self, key: str, shown: BackboneInput, context: Views) -> dict[str, Tensor]:
@@ -154,7 +157,7 @@ class FeatureCache:
     def _open_scene(self, name: str) -> tuple[Any, dict[str, str], dict[str, list[str]]]:
         """The open file of a scene, what it says of itself, and its tensors by their prefix."""
         path = scene_path(self.folder, name)
-        if not path.is_file():
+        if not self.has_scene(name):
             raise KeyError(
                 f"{self.folder} has no features of scene {name}: the cache is not finished, or "
                 "the scene is new; run `instok3d train cache` with the same settings again"
@@ -264,12 +267,3 @@ def with_backbone(cache: FeatureCache, weights: Mapping[str, Tensor]) -> dict[st
     """All weights of a model that was trained on cached features, its backbone's too."""
     own = {k: v for k, v in weights.items() if not k.startswith("backbone.")}
     return own | {f"backbone.{k}": v for k, v in cache.backbone_weights().items()}
-
-
-def differences(found: Any, wanted: Any, where: str = "") -> Sequence[str]:
-    """Where two JSON values differ, one phrase each: `name: made with 1, wanted 2`."""
-    if isinstance(found, dict) and isinstance(wanted, dict):
-        names = sorted(found.keys() | wanted.keys())
-        below = [differences(found.get(n), wanted.get(n), f"{where}.{n}".strip(".")) for n in names]
-        return [phrase for part in below for phrase in part]
-    return [] if found == wanted else [f"{where}: made with {found}, wanted {wanted}"]
