@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
 from fake_rooms import FakeRooms
-from instok3d.data.batches import BatchConfig, SceneBatches
+from instok3d.data.batches import BatchConfig, NoBaselineError, SceneBatches, make_sample
 from instok3d.data.sample import Sample
+from instok3d.data.view_sampling import FrameChoice
 
 CONFIG = BatchConfig(batch_size=2, views=(2, 2, 3))
 
@@ -85,8 +88,87 @@ def test_no_scene_and_wrong_rank_are_refused():
         ({"views": ()}, r"at least 2, got \(\)"),
         ({"views": (2, 1)}, r"at least 2, got \(2, 1\)"),
         ({"num_targets": 0}, "num_targets must be at least 1"),
+        ({"views": (2, 4), "sampling": "re10k"}, r"2 context views, got views \(2, 4\)"),
     ],
 )
 def test_settings_that_give_no_batch_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         BatchConfig(**settings)
+
+
+class LongRooms(FakeRooms):
+    """The frames of a fake room there and back again; the first so many cameras stand still."""
+
+    def __init__(self, lengths: list[int], still: int = 0):
+        super().__init__(len(lengths), size=8)
+        self.lengths, self.still = lengths, still
+
+    def num_frames(self, number):
+        return self.lengths[number]
+
+    def frames(self, number, chosen):
+        scene = super().frames(number, [min(k % 32, 31 - k % 32) for k in chosen])
+        poses = scene.world_from_cam.clone()
+        poses[torch.tensor([k < self.still for k in chosen])] = torch.eye(4, dtype=poses.dtype)
+        return replace(scene, world_from_cam=poses)
+
+
+def test_each_rule_of_sampling_reaches_the_batch():
+    scannet = BatchConfig(1, views=(8,), num_targets=7, sampling="scannet")
+    sample = SceneBatches(FakeRooms(1, size=8), [0], scannet, seed=0).batch(0)
+    assert sample.names[0].endswith(("0,2,4,6,8,10,12,14", "1,3,5,7,9,11,13,15"))
+    assert sample.target.images.shape[:2] == (1, 7)
+    re10k = BatchConfig(1, sampling="re10k", unit="baseline", num_targets=3)
+    clips = SceneBatches(LongRooms([200]), [0], re10k, seed=0)
+    for step, gaps in ((0, [25]), (10**6, range(45, 91))):
+        names = [clips.batch(step + k).names[0] for k in range(5)]
+        pairs = [name.split()[-1].split(",") for name in names]
+        assert all(int(b) - int(a) in gaps for a, b in pairs)
+
+
+def test_baseline_as_unit_puts_the_second_context_one_unit_away():
+    source, choice = FakeRooms(1, size=8), FrameChoice((2, 7), (4,))
+    metres = make_sample(source, 0, choice)
+    units = make_sample(source, 0, choice, unit="baseline")
+    # Frames of a fake room are 0.06 m apart: five frames are 0.3 m, which is now 1.
+    assert units.context.cam_from_world is not None
+    assert metres.context.cam_from_world is not None
+    place = units.context.cam_from_world[0, 1, :3, 3]
+    assert place.norm() == pytest.approx(1.0, abs=1e-6)
+    assert torch.allclose(place * 0.3, metres.context.cam_from_world[0, 1, :3, 3], atol=1e-6)
+    rotations = [s.context.cam_from_world[..., :3, :3] for s in (units, metres)]
+    assert torch.equal(*rotations)
+    for part in ("context", "target"):
+        unit_depths, depths = getattr(units, part).depths, getattr(metres, part).depths
+        assert torch.allclose(unit_depths * 0.3, depths, rtol=1e-5)
+
+
+def test_contexts_at_one_place_are_drawn_again():
+    config = BatchConfig(1, sampling="scannet", unit="baseline", photometric=False)
+    with pytest.raises(NoBaselineError, match="contexts 1 and 3 of scene 0 stand 0 apart"):
+        make_sample(LongRooms([30], still=9), 0, FrameChoice((1, 3), (2,)), unit="baseline")
+    moving = SceneBatches(LongRooms([16], still=5), [0], config, seed=0)
+    for step in range(12):
+        assert max(map(int, moving.batch(step).names[0].split()[-1].split(","))) >= 5
+
+
+def test_a_scene_whose_camera_stands_still_is_replaced_by_the_next_with_a_warning():
+    config = BatchConfig(1, sampling="scannet", unit="baseline")
+    mixed = SceneBatches(LongRooms([5, 16], still=5), [0, 1], config, seed=0)
+    with pytest.warns(UserWarning, match=r"scene 0 stand 0 apart; the next scene is taken"):
+        assert {mixed.batch(step).names[0].split()[0] for step in range(4)} == {"1"}
+    never = SceneBatches(LongRooms([5, 5], still=5), [0, 1], config, seed=0)
+    with (
+        pytest.warns(UserWarning, match="the next scene is taken"),
+        pytest.raises(NoBaselineError, match="contexts of 2 scenes one after the other"),
+    ):
+        never.batch(0)
+
+
+def test_scenes_too_short_for_a_sample_are_left_out_with_a_warning():
+    config = BatchConfig(1, views=(2, 8), sampling="scannet")
+    with pytest.warns(UserWarning, match="2 of 3 scenes are left out: .* the 15 frames"):
+        kept = SceneBatches(LongRooms([14, 15, 3]), range(3), config, seed=0)
+    assert kept.scenes == (1,)
+    with pytest.raises(ValueError, match="all 1 scenes have fewer than the 46 frames"):
+        SceneBatches(LongRooms([45]), [0], BatchConfig(sampling="re10k"), seed=0)

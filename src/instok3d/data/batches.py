@@ -1,9 +1,13 @@
 """Training batches as a pure function of (seed, step, rank): no state to save or restore."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Literal
+from zlib import crc32
 
 import numpy as np
 import torch
@@ -11,9 +15,25 @@ import torch
 from instok3d.data.photometric import photometric_change
 from instok3d.data.sample import Sample, collate
 from instok3d.data.scenes import SceneSource
-from instok3d.data.view_sampling import FrameChoice, sample_many_views, sample_two_views
+from instok3d.data.view_sampling import (
+    RE10K_WARM_UP_STEPS,
+    FrameChoice,
+    Sampling,
+    frames_needed,
+    sample_frames,
+)
 from instok3d.geometry.cameras import invert_rigid, relative_to_first
 from instok3d.types import Views
+
+MIN_BASELINE = 1e-3
+"""Contexts that stand nearer to each other, in units of the data, give no unit of length."""
+_DRAWS, _SCENES_TO_TRY = 5, 5
+
+Unit = Literal["metre", "baseline"]
+
+
+class NoBaselineError(ValueError):
+    """The first two contexts stand at the same place, so their distance cannot be the unit."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +48,14 @@ class BatchConfig:
     """Target views of a sample: one new frame, then context frames (two views: at most 3)."""
     photometric: bool = True
     """Change exposure, contrast and white balance scene by scene, and add noise to contexts."""
+    sampling: Sampling = "rooms"
+    """Which frames make a sample; scannet as in Uni3R, re10k as in C3G (two views)."""
+    unit: Unit = "metre"
+    """baseline: lengths are divided by the distance of the first two contexts, which data of
+    arbitrary scale needs (RealEstate10K); metre: they stay as the data has them."""
+    samples_per_scene: int | None = None
+    """None: each sample has new frames and new light. A number: a scene has so many fixed samples
+    for each number of views, one more each epoch, then again; cached features need that."""
 
     def __post_init__(self):
         if self.batch_size < 1:
@@ -36,6 +64,12 @@ class BatchConfig:
             raise ValueError(f"views must hold numbers of at least 2, got {self.views}")
         if self.num_targets < 1:
             raise ValueError(f"num_targets must be at least 1, got {self.num_targets}")
+        if self.sampling == "re10k" and set(self.views) != {2}:
+            raise ValueError(f"samples of re10k have 2 context views, got views {self.views}")
+        if self.samples_per_scene is not None and self.samples_per_scene < 1:
+            raise ValueError(
+                f"samples_per_scene must be None or at least 1, got {self.samples_per_scene}"
+            )
 
 
 class SceneBatches:
@@ -43,7 +77,8 @@ class SceneBatches:
 
     The global batch of a step is cut into one part for each rank, so the samples of a two-view
     step depend on batch_size * world_size alone; a step of more views leaves out the last places
-    of each part. Every epoch goes through all scenes in a new order.
+    of each part. Every epoch goes through all scenes in a new order. Scenes with too few frames
+    for a sample are left out with a warning.
 
     Args:
         source: The scenes.
@@ -67,7 +102,7 @@ class SceneBatches:
         if not 0 <= rank < world_size:
             raise ValueError(f"rank must be in 0..{world_size - 1}, got {rank}")
         self.source = source
-        self.scenes = tuple(scenes)
+        self.scenes = _long_enough(source, scenes, config)
         self.config = config
         self.seed = seed
         self.rank = rank
@@ -81,7 +116,7 @@ class SceneBatches:
         # Places are counted as if every step had two views: the numbers of later steps then do
         # not depend on what earlier steps drew.
         first = (step * self.world_size + self.rank) * self.config.batch_size
-        return collate([self._sample(first + place, views) for place in range(size)])
+        return collate([self._sample(first + place, views, step) for place in range(size)])
 
     def iterate(self, first_step: int) -> Iterator[tuple[int, Sample]]:
         """(step, batch) from first_step on without end; one batch ahead is read in a thread."""
@@ -96,17 +131,79 @@ class SceneBatches:
     def _make_epoch_order(self, epoch: int) -> np.ndarray:
         return np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.scenes))
 
-    def _sample(self, place: int, views: int) -> Sample:
+    def fixed_sample(self, number: int, views: int, which: int) -> Sample:
+        """One of the samples of a scene that come again, with its key; it depends on its name.
+
+        Args:
+            number: Of the scene.
+            views: Context views.
+            which: Less than samples_per_scene.
+
+        Raises:
+            NoBaselineError: See `make_sample`.
+        """
+        name = self.source.name_of(number)
+        rng = np.random.default_rng([self.seed, 3, crc32(name.encode()), views, which])
+        # The gap of re10k is that of the end: a sample that comes again knows no step.
+        sample = self._draw(rng, number, views, RE10K_WARM_UP_STEPS)
+        return replace(sample, keys=(f"{name}/{views}/{which}",))
+
+    def _sample(self, place: int, views: int, step: int) -> Sample:
         epoch, position = divmod(place, len(self.scenes))
-        index = self.scenes[self._epoch_order(epoch)[position]]
+        order = np.roll(self._epoch_order(epoch), -position)
         rng = np.random.default_rng([self.seed, 2, place])
-        num_frames, targets = self.source.num_frames(index), self.config.num_targets
-        if views == 2:
-            choice = sample_two_views(rng, num_frames, num_targets=targets)
-        else:
-            choice = sample_many_views(rng, num_frames, num_views=views, num_targets=targets)
-        photometric_rng = rng if self.config.photometric else None
-        return make_sample(self.source, index, choice, photometric_rng=photometric_rng)
+        fixed = self.config.samples_per_scene
+        for scene in order[:_SCENES_TO_TRY]:  # the first, unless its camera stands still
+            try:
+                if fixed is not None:
+                    return self.fixed_sample(self.scenes[scene], views, epoch % fixed)
+                return self._draw(rng, self.scenes[scene], views, step)
+            except NoBaselineError as error:
+                warnings.warn(f"{error}; the next scene is taken", stacklevel=2)
+        raise NoBaselineError(
+            f"the contexts of {min(_SCENES_TO_TRY, len(order))} scenes one after the other stand "
+            f"less than {MIN_BASELINE:g} apart; check the cameras of the data"
+        )
+
+    def _draw(self, rng: np.random.Generator, number: int, views: int, step: int) -> Sample:
+        for _ in range(_DRAWS - 1):
+            with suppress(NoBaselineError):
+                return self._draw_once(rng, number, views, step)
+        return self._draw_once(rng, number, views, step)
+
+    def _draw_once(self, rng: np.random.Generator, number: int, views: int, step: int) -> Sample:
+        config = self.config
+        choice = sample_frames(
+            rng,
+            self.source.num_frames(number),
+            views,
+            config.num_targets,
+            sampling=config.sampling,
+            step=step,
+        )
+        photometric_rng = rng if config.photometric else None
+        return make_sample(
+            self.source, number, choice, photometric_rng=photometric_rng, unit=config.unit
+        )
+
+
+def _long_enough(
+    source: SceneSource, scenes: Sequence[int], config: BatchConfig
+) -> tuple[int, ...]:
+    needed = frames_needed(max(config.views), config.sampling)
+    kept = tuple(number for number in scenes if source.num_frames(number) >= needed)
+    if not kept:
+        raise ValueError(
+            f"all {len(scenes)} scenes have fewer than the {needed} frames that a sample of "
+            f"{max(config.views)} views needs (sampling {config.sampling!r})"
+        )
+    if len(kept) < len(scenes):
+        warnings.warn(
+            f"{len(scenes) - len(kept)} of {len(scenes)} scenes are left out: they have fewer "
+            f"than the {needed} frames that a sample needs",
+            stacklevel=3,
+        )
+    return kept
 
 
 def make_sample(
@@ -115,6 +212,7 @@ def make_sample(
     choice: FrameChoice,
     *,
     photometric_rng: np.random.Generator | None = None,
+    unit: Unit = "metre",
 ) -> Sample:
     """The chosen frames of a scene as a batch of one, cameras relative to the first context.
 
@@ -123,6 +221,11 @@ def make_sample(
         number: Which scene.
         choice: Its context and target frames; each is read once.
         photometric_rng: Draws a photometric change; None leaves the images as they are.
+        unit: Of the cameras and depths in the sample: metre leaves them as the source has them.
+
+    Raises:
+        NoBaselineError: The unit is the baseline, and the first two contexts are closer than
+            MIN_BASELINE.
     """
     frames = choice.context + choice.target
     read = sorted(set(frames))
@@ -137,9 +240,19 @@ def make_sample(
         )
     # Inverted and chained in float64: a float32 inverse would cost 1e-6 m for nothing.
     world_from_cam = scene.world_from_cam[order].double()
-    cam_from_world = relative_to_first(invert_rigid(world_from_cam)).float()
-    intrinsics = scene.intrinsics[order].float()
+    cam_from_world = relative_to_first(invert_rigid(world_from_cam))
     depths = scene.depths_m[order].float()
+    if unit == "baseline":
+        baseline = (world_from_cam[1, :3, 3] - world_from_cam[0, :3, 3]).norm()
+        if baseline < MIN_BASELINE:
+            raise NoBaselineError(
+                f"contexts {choice.context[0]} and {choice.context[1]} of scene {scene.name} stand "
+                f"{float(baseline):.2g} apart"
+            )
+        cam_from_world[:, :3, 3] /= baseline
+        depths = depths / baseline.float()
+    cam_from_world = cam_from_world.float()
+    intrinsics = scene.intrinsics[order].float()
     instances = scene.instances[order].long()
 
     def views(images: torch.Tensor, part: slice) -> Views:

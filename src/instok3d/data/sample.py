@@ -12,7 +12,9 @@ from instok3d.types import Views
 
 @dataclass(frozen=True)
 class Sample:
-    """A batch of scenes, float32, metres; world = the camera of each first context view.
+    """A batch of scenes, float32; world = the camera of each first context view.
+
+    Lengths are in metres, or in distances of the first two contexts (`BatchConfig.unit`).
 
     Both Views carry intrinsics, cam_from_world and depths; `photos_only` drops what a model that
     sees unposed photos must not know.
