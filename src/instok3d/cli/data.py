@@ -1,10 +1,12 @@
-"""`instok3d data`: make procedural rooms, and look at them."""
+"""`instok3d data`: make procedural rooms and look at them, prepare and verify real data sets."""
 
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from instok3d.cli.data_prepare import prepare, verify
 
 
 def _seed_range(text: str) -> range:
@@ -74,7 +76,7 @@ def preview(
     print(path)
 
 
-COMMANDS = {"rooms": rooms, "preview": preview}
+COMMANDS = {"rooms": rooms, "preview": preview, "prepare": prepare, "verify": verify}
 """Subcommands of `instok3d data`."""
 
 

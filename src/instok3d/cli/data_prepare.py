@@ -1,0 +1,97 @@
+"""`instok3d data prepare` and `data verify`: real data sets as folders that training reads."""
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tqdm import tqdm
+from tyro.conf import Positional, arg, subcommand
+
+from instok3d.data.preparation import PreparationReport, plan_preparation
+from instok3d.data.preparation import prepare as prepare_scenes
+from instok3d.data.prepared import Fault, refresh_index, scene_folders
+from instok3d.data.prepared.verifying import verify_index, verify_scene
+from instok3d.data.scannet.source import ScanNetSource
+
+FAILED = 2
+"""Exit code when scenes could not be prepared or files are missing or damaged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunArguments:
+    """Where prepared scenes go."""
+
+    output: Annotated[Path, arg(aliases=["-o"])]
+    """Prepared folder; made if it is not there. Scenes that it holds are not made again."""
+    workers: int = 2
+    """Processes; one a free core."""
+    dry_run: bool = False
+    """Only say what there is to do and how much disk it takes."""
+
+
+@dataclass(frozen=True)
+class ScanNetArguments(ScanNetSource, RunArguments):
+    """ScanNet: .sens scans, the scannet_processed export, or LSM's test scenes."""
+
+    folder: Positional[Path]  # pyright: ignore[reportGeneralTypeIssues]
+    """Folder of scans, or LSM's scannet_test.tar."""
+
+
+Arguments = Annotated[ScanNetArguments, subcommand("scannet")]
+
+
+def prepare(arguments: Annotated[Arguments, arg(name="")]) -> int:
+    """Bring a data set into a folder that training reads; run it again to go on after a stop."""
+    plan = plan_preparation(arguments.jobs(), arguments.output)
+    print(
+        f"{len(plan.jobs)} scenes to prepare, {plan.skipped} already there; about "
+        f"{plan.estimated_bytes / 1e9:.2f} GB in {plan.folder}, {plan.free_bytes / 1e9:.2f} GB "
+        "are free",
+        file=sys.stderr,
+    )
+    if arguments.dry_run:
+        return 0
+    report = prepare_scenes(plan, workers=arguments.workers)
+    print(_summary(report, arguments.output))
+    return FAILED if report.failed else 0
+
+
+def verify(
+    folder: Positional[Path], json_output: Annotated[bool, arg(name="json")] = False,
+    index: bool = False,
+) -> int:  # fmt: skip
+    """Compare every file of a prepared folder with its checksum; exit code 2 if any is wrong.
+
+    Args:
+        folder: Written by `instok3d data prepare`.
+        json_output: Print the faults as JSON.
+        index: First write the index of scenes anew from what lies in the folder.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder {folder}")
+    if index:
+        refresh_index(folder)
+    faults: list[Fault] = list(verify_index(folder))
+    scenes = scene_folders(folder)
+    for scene in tqdm(scenes, unit="scene"):
+        faults += verify_scene(scene)
+    if json_output:
+        rows = [asdict(fault) for fault in faults]
+        print(json.dumps({"scenes": len(scenes), "faults": rows}, indent=2))
+    else:
+        for fault in faults:
+            print(f"{fault.path}: {fault.problem}")
+        print(f"{folder}: {len(scenes)} scenes, {len(faults)} faults")
+    return FAILED if faults else 0
+
+
+def _summary(report: PreparationReport, folder: Path) -> str:
+    lines = [
+        f"{folder}: {report.scenes} new scenes of {report.frames} frames, "
+        f"{report.num_bytes / 1e9:.2f} GB; {report.skipped} were already there"
+    ]
+    lines += [f"dropped {n} frames: {reason}" for reason, n in sorted(report.dropped.items())]
+    lines += [f"failed {name}: {reason}" for name, reason in sorted(report.failed.items())]
+    return "\n".join(lines)

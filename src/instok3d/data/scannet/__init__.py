@@ -1,0 +1,1 @@
+"""ScanNet in its original files: .sens scans, id map archives, label table, splits."""
