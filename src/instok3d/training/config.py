@@ -8,6 +8,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from instok3d.data.batches import BatchConfig
 from instok3d.files import write_json
+from instok3d.training.distributed import Strategy
 from instok3d.training.geometry_stage import GeometryStageConfig
 from instok3d.training.tokenizer_stage import TokenizerStageConfig
 
@@ -36,6 +37,14 @@ class TrainConfig:
     """Largest norm of the whole gradient (Sec. 4)."""
     max_skipped_in_a_row: int = 10
     """Updates with a finite loss but a non-finite gradient are skipped; this many stop the run."""
+    accumulate: int = 1
+    """Batches whose gradients are averaged before an update. An update sees batch_size *
+    accumulate * processes samples; the paper has 32."""
+    readers: int = 1
+    """Threads that read batches ahead; the batches do not depend on it."""
+    strategy: Strategy = "auto"
+    """How processes that torchrun starts share the model: ddp, each holds all of it, or fsdp, each
+    holds a part of every tensor; auto = ddp. A process that is alone holds all of it."""
     ema_decay: float = 0.999
     """Of the weight average that is validated and exported; 0 = the weights themselves."""
     amp: bool = True
