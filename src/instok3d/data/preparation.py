@@ -41,6 +41,10 @@ SPLIT_RULE = "split_rule"
 Frames = Iterable[PreparedFrame | DroppedFrame]
 
 
+class LeftOutError(ValueError):
+    """A scene that is not wanted, such as one of another picture size; no failure."""
+
+
 @dataclass(frozen=True)
 class SceneJob:
     """One scene that can be prepared, here or in another process."""
@@ -49,7 +53,8 @@ class SceneJob:
     estimated_bytes: int
     """What it will take on the disk."""
     frames: Callable[[], Frames]
-    """Reads the scene; must be picklable (a module's function, or a `partial` of one)."""
+    """Reads the scene; must be picklable (a module's function, or a `partial` of one). Raises
+    LeftOutError for a scene that is not wanted."""
 
 
 class PreparationSource(Protocol):
@@ -89,6 +94,8 @@ class PreparationReport:
     skipped: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     """Frames that were left out of the new scenes, by reason."""
+    left_out: Counter[str] = field(default_factory=Counter)
+    """Scenes that are not wanted, by reason; looked at again by the next run."""
     failed: dict[str, str] = field(default_factory=dict)
     """Why each scene that could not be prepared could not."""
 
@@ -98,6 +105,7 @@ class _Outcome:
     frames: int = 0
     num_bytes: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
+    left_out: str | None = None
     failure: str | None = None
 
 
@@ -204,6 +212,9 @@ def _count(report: PreparationReport, name: str, outcome: _Outcome) -> None:
     if outcome.failure is not None:
         report.failed[name] = outcome.failure
         return
+    if outcome.left_out is not None:
+        report.left_out[outcome.left_out] += 1
+        return
     report.scenes += 1
     report.frames += outcome.frames
     report.num_bytes += outcome.num_bytes
@@ -262,6 +273,8 @@ def _until_stopped(frames: Frames) -> Frames:
 def _make(job: SceneJob, folder: Path) -> _Outcome:
     try:
         record = write_scene(folder, job.info, _until_stopped(job.frames()))
+    except LeftOutError as reason:
+        return _Outcome(left_out=str(reason))
     except (ValueError, KeyError, OSError) as error:
         if isinstance(error, OSError) and error.errno in FULL_DISK:
             raise

@@ -11,12 +11,11 @@ from PIL import Image
 
 from instok3d.data.cropping import crop_about_principal_point, crop_image, crop_values
 from instok3d.data.pixel_map import PixelMap
+from instok3d.data.poses import pose_fault
 from instok3d.data.prepared import DroppedFrame, PreparedFrame
 from instok3d.data.scannet.id_maps import IdMaps, Kind, known_instances
 from instok3d.data.scannet.sens import SensFile
 
-NO_POSE = "a pose that is not finite"
-NOT_RIGID = "a pose that is not rigid"
 ASPECT_TOLERANCE = 0.02
 """1296 x 968 colour and 640 x 480 depth differ by 0.4 %."""
 
@@ -79,15 +78,6 @@ def scan_frames(
                 instances=cropped.get("instance-filt"),
                 labels=cropped.get("label-filt"),
             )
-
-
-def pose_fault(pose: Float[np.ndarray, "4 4"]) -> str | None:
-    """Why a frame with this pose is dropped; None where the pose is sound."""
-    if not np.isfinite(pose).all():
-        return NO_POSE
-    gram = pose[:3, :3].T @ pose[:3, :3]
-    rigid = np.allclose(gram, np.eye(3), atol=0.02) and np.linalg.det(pose[:3, :3]) > 0
-    return None if rigid and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-4) else NOT_RIGID
 
 
 def check_intrinsics(

@@ -12,12 +12,12 @@ from PIL import Image
 
 from instok3d.data.cropping import crop_about_principal_point, crop_image, crop_values
 from instok3d.data.pixel_map import PixelMap
+from instok3d.data.poses import pose_fault
 from instok3d.data.prepared import DroppedFrame, PreparedFrame
 from instok3d.data.scannet.export import (
     check_intrinsics,
     check_same_view,
     cropped_intrinsics,
-    pose_fault,
 )
 from instok3d.data.scannet.id_maps import read_id_png
 from instok3d.data.scannet.sens import half_pixel_intrinsics
