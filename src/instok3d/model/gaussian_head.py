@@ -85,8 +85,7 @@ class GaussianHead(nn.Module):
         hidden = config.hidden_factor * width
         self.hidden = nn.Sequential(nn.Linear(width + shape_inputs, hidden), nn.GELU())
         self.out = nn.Linear(hidden, config.gaussians_per_anchor * sum(self.sizes))
-        bands = [degree for degree in range(config.sh_degree + 1) for _ in range(2 * degree + 1)]
-        damping = torch.tensor([0.5 * 0.25**band if band else 1.0 for band in bands])
+        damping = harmonic_damping(config.sh_degree)
         self.register_buffer("damping", damping[:, None], persistent=False)
         nn.init.normal_(self.out.weight, std=0.002 if surface else 0.02)
         bias = torch.zeros(config.gaussians_per_anchor, sum(self.sizes))
@@ -155,6 +154,12 @@ class GaussianHead(nn.Module):
             sh=sh.flatten(1, 2),
             anchor_index=index.expand(batch, -1),
         )
+
+
+def harmonic_damping(sh_degree: int) -> Float[Tensor, " coefficient"]:
+    """Factor of each coefficient: 1 for the constant, 1/2 of a quarter to the power of its band."""
+    bands = [degree for degree in range(sh_degree + 1) for _ in range(2 * degree + 1)]
+    return torch.tensor([0.5 * 0.25**band if band else 1.0 for band in bands])
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""True cameras in the worlds of predicted geometries, by the rule of the evaluation, in batches."""
+"""Where a stage renders its targets: at the true cameras, or these in the predicted world."""
 
 from typing import Literal
 
@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.data.sample import Sample
 from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.similarity import depth_scale
@@ -13,6 +14,29 @@ from instok3d.types import Cameras, Geometry, Views
 
 SHORTEST_BASELINE = 0.02
 """Scene units, true or predicted: context cameras closer together say nothing of the scale."""
+
+TargetCameras = Literal["aligned", "true"]
+"""true: the true cameras as they are, so that the model must answer in their unit and frame, as in
+the paper. aligned: the true cameras, brought into the world that the model predicts."""
+
+
+def cameras_of_targets(
+    kind: TargetCameras,
+    geometry: Geometry,
+    sample: Sample,
+    scale_from: Literal["baselines", "depths"],
+) -> Cameras:
+    """The cameras of the target views in the world of the first context view.
+
+    Args:
+        kind: Which cameras.
+        geometry: Predicted from the context views.
+        sample: With true cameras; aligned cameras also need true depths of the contexts.
+        scale_from: See `target_cameras_in_prediction`; of no use to true cameras.
+    """
+    if kind == "true":
+        return _cameras(sample.target)
+    return target_cameras_in_prediction(geometry, sample.context, sample.target, scale_from)
 
 
 @torch.no_grad()

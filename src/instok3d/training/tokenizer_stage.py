@@ -19,25 +19,27 @@ from instok3d.evaluation.instance_ap import (
     match_image,
     predicted_masks,
 )
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.nano import NanoConfig
+from instok3d.model.backbone.registry import build_backbone
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
-from instok3d.objectives.lpips import load_lpips
 from instok3d.objectives.rendering import rendering_loss
-from instok3d.objectives.segmentation import segmentation_loss
+from instok3d.objectives.segmentation import SegmentationLoss, segmentation_loss
 from instok3d.render import render
-from instok3d.training.alignment import target_cameras_in_prediction
+from instok3d.training.alignment import TargetCameras, cameras_of_targets
 from instok3d.training.feature_cache import FeatureCache, of_backbone
+from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
 from instok3d.training.pictures import color_picture, contact_sheet, id_picture
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages import StepLoss
-from instok3d.types import Cameras, Geometry, Rendering, TokenGroups, Views
+from instok3d.types import Geometry, Rendering, TokenGroups, Views
 
 
 @dataclass(frozen=True)
 class TokenizerStageConfig:
     """What the tokenizer stage trains."""
 
-    backbone: NanoConfig = field(default_factory=NanoConfig)
+    backbone: BackboneConfig = field(default_factory=NanoConfig)
     tokenizer: TokenizerConfig = field(default_factory=TokenizerConfig)
     freeze_backbone: bool = True
     """As the paper does (Sec. 4)."""
@@ -45,23 +47,34 @@ class TokenizerStageConfig:
     """Share of the steps that get true depth and cameras; the others see photos alone. The paper
     always predicts; one set of weights is to serve RGB-D cameras too."""
     intrinsics_probability: float = 0.5
-    """Of the steps with photos alone, the share in which the intrinsics are known."""
+    """Of the steps with photos alone, the share in which the intrinsics are known. The paper
+    always knows them; with 1 validation does too."""
+    target_cameras: TargetCameras = "aligned"
+    """Where targets are rendered when cameras are not given; the paper takes the true ones."""
     scale_from: Literal["baselines", "depths"] = "baselines"
-    """How the true target cameras find their length in the predicted world."""
+    """How aligned target cameras find their length in the predicted world."""
     seg_weight: float = 0.1
     """lambda_seg, the weight of the grouping loss (Eq. 6)."""
     seg_warmup_steps: int = 200
     """Steps over which seg_weight rises linearly from 0. The paper has 1,500 (Sec. 4): its
     Gaussians start anywhere, those of the nano model start on the surfaces."""
+    bce_weight: float = 1.0
+    """lambda_bce; the paper does not give it (Eq. 5)."""
+    dice_weight: float = 1.0
+    """lambda_dice; the paper does not give it (Eq. 5)."""
+    ignore_unlabelled: bool = False
+    """Leave pixels of no instance out of the grouping loss. The paper gives them to the void."""
     l1_weight: float = 0.0
     """Mean absolute colour error; not in the paper."""
     gradient_weight: float = 0.0
     """Mean absolute error of colour differences between neighbours, for sharper renders; not in
     the paper."""
     lpips_weight: float = 0.0
-    """The paper has 0.05; needs lpips_file."""
+    """The paper has 0.05 (Sec. 4)."""
     lpips_file: Path | None = None
-    """Weights of LPIPS as safetensors."""
+    """Weights of LPIPS as safetensors; None = those of the catalogue."""
+    lpips_name: str = "lpips-vgg16"
+    """In the catalogue (`instok3d models list`); AlexNet is quicker on a CPU."""
     cache: Path | None = None
     """Folder of cached features (instok3d train cache); the backbone is then not even loaded."""
 
@@ -70,29 +83,35 @@ class TokenizerStageConfig:
             raise ValueError("a backbone that learns cannot be cached: leave cache out")
 
 
+def new_tokenizer(
+    config: TokenizerStageConfig, backbone: GeometryBackbone | None = None
+) -> Tokenizer:
+    """A tokenizer with random weights, on this backbone or on a new one of the config."""
+    model = Tokenizer(backbone or build_backbone(config.backbone), config.tokenizer)
+    model.backbone.requires_grad_(not config.freeze_backbone)
+    return model
+
+
 class TokenizerStage:
     """Rendering and grouping losses of the tokenizer on a frozen backbone."""
 
     def __init__(self, config: TokenizerStageConfig) -> None:
         self.config = config
-        self.lpips = load_lpips(config.lpips_file) if config.lpips_file else None
+        self.lpips = lpips_network(config.lpips_weight, config.lpips_file, config.lpips_name)
         self.cache = FeatureCache(config.cache) if config.cache else None
 
     def build_model(self) -> Tokenizer:
         """A new tokenizer on a new backbone, which `load_initial` fills; on none with a cache."""
-        sizes = self.config.backbone
-        backbone = self.cache.backbone(sizes) if self.cache else NanoBackbone(sizes)
-        model = Tokenizer(backbone, self.config.tokenizer)
-        model.backbone.requires_grad_(not self.config.freeze_backbone)
-        return model
+        backbone = self.cache.backbone(self.config.backbone) if self.cache else None
+        return new_tokenizer(self.config, backbone)
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
-        """All weights of a tokenizer run, or the backbone's of a geometry run.
+        """All weights of a tokenizer run, or the backbone's of a geometry or adapt run.
 
         With cached features the backbone must be the one that made them; it is not loaded.
         """
         assert isinstance(model, Tokenizer)
-        whole = any(name.startswith("backbone.") for name in weights)
+        whole = any(name.startswith("anchor_decoder.") for name in weights)
         if self.cache:
             self.cache.check_backbone(of_backbone(weights), "the first weights")
             own = {k: v for k, v in weights.items() if whole and not k.startswith("backbone.")}
@@ -100,10 +119,17 @@ class TokenizerStage:
             if unknown or (own and any(not k.startswith("backbone.") for k in missing)):
                 raise RuntimeError(f"missing {missing}, unknown {unknown}")
             return
-        (model if whole else model.backbone).load_state_dict(dict(weights))
+        if whole:
+            model.load_state_dict(dict(weights))
+        else:
+            load_backbone(model.backbone, weights)
 
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
-        """MSE (+ LPIPS) + lambda_seg (BCE + Dice) on the target views, Eq. 4 to 6."""
+        """MSE (+ LPIPS) + lambda_seg (BCE + Dice) on the target views, Eq. 4 to 6.
+
+        Which views those are is the sampling's choice: with two contexts these and the frame
+        between them, with more only frames between them (Uni3R's protocol, which Sec. 4 names).
+        """
         assert isinstance(model, Tokenizer)
         config = self.config
         draw, intrinsics_draw = np.random.default_rng([4, step]).random(2)
@@ -112,8 +138,9 @@ class TokenizerStage:
         groups, rendering = self._run(model, sample, given=given, intrinsics=know_intrinsics)
         assert rendering.features is not None
         images = sample.target.images
+        lpips = self.lpips.to(images.device) if self.lpips else None
         picture = rendering_loss(
-            rendering.colors, images, lpips=self.lpips, lpips_weight=config.lpips_weight
+            rendering.colors, images, lpips=lpips, lpips_weight=config.lpips_weight
         )
         total = picture.total
         mode = "given" if given else "predicted"
@@ -126,7 +153,7 @@ class TokenizerStage:
             total = total + config.gradient_weight * gradient_error(rendering.colors, images)
         # The matching refuses NaN; the loop wants to see it as a loss that is not finite.
         if rendering.features.sum().isfinite():
-            grouping = segmentation_loss(rendering.features, sample.target_instances)
+            grouping = self._grouping(rendering, sample)
             weight = warmed_up(step, weight=config.seg_weight, warmup_steps=config.seg_warmup_steps)
             total = total + weight * grouping.total
             terms |= {f"seg_{mode}": grouping.total, "bce": grouping.bce, "dice": grouping.dice}
@@ -135,18 +162,38 @@ class TokenizerStage:
         terms["void"] = groups.assignment[..., -1].mean()
         return StepLoss(total, {name: value.detach() for name, value in terms.items()})
 
+    @property
+    def modes(self) -> tuple[Literal["predicted", "given"], ...]:
+        """What validation shows the model: photos alone; also cameras and depth if it trains so."""
+        return ("predicted", "given") if self.config.given_probability > 0 else ("predicted",)
+
+    @property
+    def _always_told(self) -> bool:
+        return self.config.intrinsics_probability >= 1
+
+    def _grouping(self, rendering: Rendering, sample: Sample) -> SegmentationLoss:
+        assert rendering.features is not None
+        return segmentation_loss(
+            rendering.features,
+            sample.target_instances,
+            bce_weight=self.config.bce_weight,
+            dice_weight=self.config.dice_weight,
+            ignore_unlabelled=self.config.ignore_unlabelled,
+        )
+
     def validate(self, model: nn.Module, samples: Sequence[Sample]) -> dict[str, float]:
-        """PSNR, grouping loss, AP and groups used, from photos alone and with geometry given."""
+        """PSNR, grouping loss, AP and groups used, in each mode that is trained."""
         assert isinstance(model, Tokenizer)
         figures: dict[str, float] = {}
-        for mode in ("predicted", "given"):
+        for mode in self.modes:
             quality, seg, used, matches = [], [], [], []
             for sample in samples:
-                groups, rendering = self._run(model, sample, given=mode == "given")
+                groups, rendering = self._run(
+                    model, sample, given=mode == "given", intrinsics=self._always_told
+                )
                 assert rendering.features is not None
                 quality.append(psnr(rendering.colors, sample.target.images).flatten())
-                grouping = segmentation_loss(rendering.features, sample.target_instances)
-                seg.append(grouping.total.item())
+                seg.append(self._grouping(rendering, sample).total.item())
                 used += groups_used(groups)
                 matches += _matches(rendering, sample)
             precision = average_precision(matches)
@@ -164,7 +211,8 @@ class TokenizerStage:
         """Contexts, target, true ids; then render and group ids from photos and from depth."""
         assert isinstance(model, Tokenizer)
         columns = ["context", "context", "target", "true ids"]
-        columns += ["render", "groups", "render, given", "groups, given"]
+        for mode in self.modes:
+            columns += [f"render, {mode}", f"groups, {mode}"]
         rows = [
             [
                 *(color_picture(sample.context.images[k, v]) for v in (0, -1)),
@@ -173,8 +221,9 @@ class TokenizerStage:
             ]
             for k in range(len(sample.names))
         ]
-        for given in (False, True):
-            _, rendering = self._run(model, sample, given=given)
+        for mode in self.modes:
+            given = mode == "given"
+            _, rendering = self._run(model, sample, given=given, intrinsics=self._always_told)
             assert rendering.features is not None
             for k, row in enumerate(rows):
                 winners = predicted_masks(rendering.features[k, 0], rendering.alphas[k, 0]).ids
@@ -190,15 +239,9 @@ class TokenizerStage:
         geometry = self._geometry(model, sample, views, given=given, intrinsics=intrinsics)
         groups = model(views, geometry)
         target = sample.target
-        assert target.cam_from_world is not None
-        assert target.intrinsics is not None
         with torch.autocast(target.images.device.type, enabled=False):
-            if given:
-                cameras = Cameras(target.cam_from_world, target.intrinsics)
-            else:
-                cameras = target_cameras_in_prediction(
-                    geometry, sample.context, target, self.config.scale_from
-                )
+            kind = "true" if given else self.config.target_cameras
+            cameras = cameras_of_targets(kind, geometry, sample, self.config.scale_from)
             rendering = render(
                 groups.gaussians,
                 cameras,

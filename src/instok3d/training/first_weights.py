@@ -1,0 +1,42 @@
+"""Weights that a stage begins with or is judged by: of backbones, and of LPIPS."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from torch import Tensor
+
+from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.nano import NanoConfig
+from instok3d.model.backbone.vggt import VGGTConfig
+from instok3d.model.weights import weights_path
+from instok3d.objectives.lpips import Lpips, load_lpips
+from instok3d.training.feature_cache import of_backbone
+
+BackboneConfig = NanoConfig | VGGTConfig
+"""Sizes of a backbone that a stage can be built on (`model.backbone.registry`)."""
+
+
+def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> None:
+    """Fill a backbone from a run of any stage, from its own weights, or from published ones.
+
+    Raises:
+        RuntimeError: They do not fit.
+    """
+    backbone.load_state_dict(of_backbone(weights))
+
+
+def lpips_network(weight: float, file: Path | None, name: str) -> Lpips | None:
+    """The network of the perceptual loss; None where its weight is 0.
+
+    Args:
+        weight: Of the perceptual term in the loss.
+        file: Its weights as safetensors; None takes those of the catalogue.
+        name: In the catalogue (`instok3d models list`).
+
+    Raises:
+        MissingWeightsError: They are not on this machine; says how to get them.
+        ValueError: The file holds something else.
+    """
+    if weight <= 0:
+        return None
+    return load_lpips(weights_path(name) if file is None else file)
