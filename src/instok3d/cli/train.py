@@ -9,10 +9,11 @@ from typing import Annotated
 import torch
 from tyro.conf import AvoidSubcommands, arg
 
-from instok3d.data.rooms import RoomDataset
-from instok3d.data.rooms.seeding import split_seeds
+from instok3d.cli.train_cache import cache
+from instok3d.data.opening import open_training_scenes
 from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
 from instok3d.training.export import export_model
+from instok3d.training.feature_settings import check_cache
 from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
 from instok3d.training.loop import train
 from instok3d.training.tokenizer_stage import TokenizerStage
@@ -23,7 +24,8 @@ class RunArguments:
     """Where a run reads and writes."""
 
     data: Path
-    """Folder of rooms (instok3d data rooms); only those of the training split are used."""
+    """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
+    those of the training split are used."""
     output: Annotated[Path, arg(aliases=["-o"])]
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
     resume: bool = False
@@ -33,7 +35,7 @@ class RunArguments:
     """On resuming, also train on the scenes that the folder has gained since the run began."""
     init_from: Path | None = None
     """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
-    run that trained its backbone, or a tokenizer run."""
+    run that trained its backbone, or a tokenizer run; or else --stage.cache."""
     time_limit_min: float | None = None
     """Save and stop after so many minutes; go on later with --resume."""
 
@@ -66,16 +68,19 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         ValueError: A new tokenizer run has no backbone to start from.
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
+    source = open_training_scenes(arguments.data)
     if isinstance(config.stage, GeometryStageConfig):
         stage = GeometryStage(config.stage)
     else:
         stage = TokenizerStage(config.stage)
-        if not (arguments.resume or arguments.init_from):
+        if stage.cache:
+            check_cache(stage.cache, config, source)
+        elif not (arguments.resume or arguments.init_from):
             raise ValueError("a tokenizer run needs --init-from RUN with a trained backbone")
     outcome = train(
         config,
         stage,
-        RoomDataset(arguments.data, split_seeds("train")),
+        source,
         arguments.output,
         resume=arguments.resume,
         add_scenes=arguments.add_scenes,
@@ -107,4 +112,4 @@ def export(
     print(json.dumps({key: card[key] for key in ("steps", "hours", "scenes", "commit")}))
 
 
-COMMANDS = {**{name: _command(name) for name in PRESETS}, "export": export}
+COMMANDS = {**{name: _command(name) for name in PRESETS}, "cache": cache, "export": export}

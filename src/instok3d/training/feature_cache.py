@@ -80,8 +80,8 @@ class FeatureCache:
         if found != wanted:
             raise ValueError(
                 f"the backbone in {where} has the weights sha256:{found[:12]}, the features in "
-                f"{self.folder} were made by sha256:{wanted[:12]}; make them anew with "
-                "`instok3d train cache` into another folder"
+                f"{self.folder} were made by sha256:{wanted[:12]}; leave the first weights out to "
+                "train on those features, or make others with `instok3d train cache`"
             )
 
     def geometry(self, sample: Sample, *, given: bool, intrinsics: bool) -> Geometry:

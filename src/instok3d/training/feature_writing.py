@@ -11,7 +11,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from instok3d.data.batches import SceneBatches
+from instok3d.data.batches import NoBaselineError, SceneBatches
 from instok3d.data.sample import Sample, collate, photos_only
 from instok3d.data.scenes import SceneSource
 from instok3d.files import write_json, write_safetensors
@@ -175,9 +175,14 @@ def _scene_samples(
     count = config.batches.samples_per_scene or 0
     for views in sorted(set(config.batches.views)):
         size = max(1, config.batches.batch_size * 2 // views)
-        for first in range(0, count, size):
-            which = range(first, min(first + size, count))
-            yield collate([batches.fixed_sample(number, views, k) for k in which])
+        singles = []
+        for which in range(count):
+            try:
+                singles.append(batches.fixed_sample(number, views, which))
+            except NoBaselineError as error:  # training takes another scene in its place
+                warnings.warn(f"{error}; sample {which} is left out", stacklevel=3)
+        for first in range(0, len(singles), size):
+            yield collate(singles[first : first + size])
 
 
 def _entries(

@@ -1,0 +1,66 @@
+"""`instok3d train cache`: the frozen backbone's answers, written once for a tokenizer run."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tqdm import tqdm
+from tyro.conf import AvoidSubcommands, arg
+
+from instok3d.data.opening import open_training_scenes
+from instok3d.training.checkpoint import read_weights
+from instok3d.training.config import TrainConfig, overlay, preset
+from instok3d.training.feature_writing import FeatureType, fill_cache
+
+BASE = preset("nano-tokenizer")
+
+
+@dataclass(frozen=True)
+class CacheArguments:
+    """What is cached, and where."""
+
+    data: Path
+    """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare)."""
+    init_from: Path
+    """Run folder or .safetensors file with the backbone, alone or in a tokenizer."""
+    output: Annotated[Path, arg(aliases=["-o"])]
+    """Folder of the cache. Scenes that are there already are kept."""
+    preset: str = "nano-tokenizer"
+    """The preset of the run that is to read the cache. Settings given beside it change it, except
+    that one which is nano-tokenizer's own cannot be told from one not given."""
+    feature_type: FeatureType = "float16"
+    """bfloat16 for a backbone whose features float16 cannot hold."""
+
+
+def cache(
+    arguments: Annotated[CacheArguments, arg(name="")],
+    config: Annotated[AvoidSubcommands[TrainConfig], arg(name="")] = BASE,
+) -> None:
+    """Write what the frozen backbone says of every fixed sample of a tokenizer run.
+
+    Needs --batches.samples-per-scene. The run then takes the same settings and --stage.cache, and
+    neither runs nor loads the backbone. Stop it at any time and give the same command again.
+    """
+    config = overlay(preset(arguments.preset), BASE, config)
+    source = open_training_scenes(arguments.data)
+    with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
+        filled = fill_cache(
+            config,
+            source,
+            arguments.output,
+            read_weights(arguments.init_from),
+            dtype=arguments.feature_type,
+            on_scene=lambda done, total: progress.update(),
+        )
+    print(
+        json.dumps(
+            {
+                "scenes": filled.scenes,
+                "made": filled.made,
+                "samples": filled.samples,
+                "bytes": filled.bytes,
+            }
+        )
+    )
