@@ -219,3 +219,23 @@ def test_an_empty_folder_says_how_to_fill_it(tmp_path: Path):
         PreparedScenes(tmp_path)
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         list(verify(tmp_path / "none"))
+
+
+def test_scenes_without_cameras_are_written_and_verified_but_not_read_for_training(tmp_path: Path):
+    frames = [replace(made_frame(k), world_from_cam=None, intrinsics=None) for k in range(2)]
+    record = write_scene(tmp_path, INFO, frames)
+    assert record.world_from_cam is None
+    assert record.intrinsics is None
+    written = json.loads((tmp_path / "scene0000_00/scene.json").read_text())
+    assert written["frames"][1] == {"source": "10", "world_from_cam": None, "intrinsics": None}
+    refresh_index(tmp_path)
+    assert not faults(tmp_path)
+    with pytest.raises(ValueError, match=r"1 scenes in .* have no cameras, such as scene0000_00"):
+        PreparedScenes(tmp_path)
+
+
+def test_a_scene_has_cameras_in_all_frames_or_in_none(tmp_path: Path):
+    blind = replace(made_frame(1), world_from_cam=None, intrinsics=None)
+    with pytest.raises(ValueError, match=r"frame 10 of scene scene0000_00 has .*'no cameras'"):
+        write_scene(tmp_path, INFO, [made_frame(0), blind])
+    assert list(tmp_path.iterdir()) == []

@@ -46,9 +46,10 @@ class PreparedFrame:
     """Its name or number in the original data."""
     image: UInt8[np.ndarray, "height width 3"]
     """sRGB bytes."""
-    world_from_cam: Float[np.ndarray, "4 4"]
-    intrinsics: Float[np.ndarray, "3 3"]
-    """Pixels of this image; the centre of the top-left pixel is (0.5, 0.5)."""
+    world_from_cam: Float[np.ndarray, "4 4"] | None
+    """None in scenes without cameras, which serve for masks but not for training."""
+    intrinsics: Float[np.ndarray, "3 3"] | None
+    """Pixels of this image; the centre of the top-left pixel is (0.5, 0.5). None without pose."""
     depth_thousandths: UInt16[np.ndarray, "height width"] | None = None
     """z-depth in thousandths of the unit (millimetres), 0 = unknown."""
     instances: UInt16[np.ndarray, "height width"] | None = None
@@ -74,8 +75,9 @@ class SceneRecord:
     height: int
     width: int
     sources: tuple[str, ...]
-    world_from_cam: Float[np.ndarray, "frame 4 4"]
-    intrinsics: Float[np.ndarray, "frame 3 3"]
+    world_from_cam: Float[np.ndarray, "frame 4 4"] | None
+    """None in scenes without cameras."""
+    intrinsics: Float[np.ndarray, "frame 3 3"] | None
     dropped: dict[str, int]
     """How many frames of the original were left out, by reason."""
     files: dict[str, tuple[int, str]]
@@ -143,7 +145,9 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _matrices(rows: list[Any], size: int) -> np.ndarray:
+def _matrices(rows: list[Any], size: int) -> np.ndarray | None:
+    if rows and all(row is None for row in rows):
+        return None
     matrices = np.array(rows, dtype=np.float64).reshape(len(rows), size, size)
     if not np.isfinite(matrices).all():
         raise ValueError("a camera is not finite")

@@ -37,6 +37,7 @@ def refresh_index(folder: Path) -> dict[str, Any]:
                 "split": record.info.split,
                 "split_rule": record.info.settings.get("split_rule", ""),
                 "num_frames": len(record.sources),
+                "cameras": record.world_from_cam is not None,
                 "bytes": record.num_bytes,
                 "sha256": sha256,
             }
@@ -48,7 +49,9 @@ def refresh_index(folder: Path) -> dict[str, Any]:
 
 
 def read_index(folder: Path) -> dict[str, dict[str, Any]]:
-    """What the index says of each scene: dataset, split, split_rule, num_frames, bytes, sha256.
+    """What the index says of each scene.
+
+    The keys are dataset, split, split_rule, num_frames, cameras, bytes and sha256.
 
     Raises:
         FileNotFoundError: The folder is not there or has no index.

@@ -25,7 +25,8 @@ class PreparedScenes:
 
     Raises:
         FileNotFoundError: The folder has no index, or scenes have no such masks.
-        ValueError: The index is damaged or has no scene of these splits.
+        ValueError: The index is damaged, has no scene of these splits, or has scenes of them
+            without cameras.
     """
 
     def __init__(
@@ -39,6 +40,12 @@ class PreparedScenes:
             raise ValueError(
                 f"{self.folder} has {len(index)} scenes, none of them of the splits "
                 f"{', '.join(splits)}"
+            )
+        unposed = [name for name, entry in kept if not entry.get("cameras", True)]
+        if unposed:
+            raise ValueError(
+                f"{len(unposed)} scenes in {self.folder} have no cameras, such as {unposed[0]}; "
+                "they serve for masks alone: delete them, or prepare them again with cameras"
             )
         self._names = tuple(name for name, _ in kept)
         self._counts = tuple(int(entry["num_frames"]) for _, entry in kept)
@@ -73,6 +80,8 @@ class PreparedScenes:
         missing = [k for k in chosen if not 0 <= k < len(record.sources)]
         if missing:
             raise IndexError(f"{folder} has {len(record.sources)} frames, asked for {missing}")
+        if record.world_from_cam is None or record.intrinsics is None:
+            raise ValueError(f"{folder} has no cameras")
         ids = self._layer(record, folder, self._id_layer, chosen)
         depths = self._layer(record, folder, "depths", chosen)
         shape = (len(chosen), record.height, record.width)

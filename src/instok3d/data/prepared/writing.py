@@ -56,14 +56,14 @@ def write_scene(
                 dropped[frame.reason] += 1
                 continue
             layers = _checked_layers(frame, kind, info.name)
-            kind = (*frame.image.shape[:2], *layers)
+            kind = _kind(frame, layers)
             for layer, pixels in layers.items():
                 files[f"{layer}/{len(rows):06d}.png"] = _write_png(part, layer, len(rows), pixels)
             rows.append(
                 {
                     "source": frame.source,
-                    "world_from_cam": frame.world_from_cam.tolist(),
-                    "intrinsics": frame.intrinsics.tolist(),
+                    "world_from_cam": _rows(frame.world_from_cam),
+                    "intrinsics": _rows(frame.intrinsics),
                 }
             )
         if kind is None:
@@ -116,7 +116,7 @@ def _checked_layers(
         "depths": frame.depth_thousandths, "instances": frame.instances, "labels": frame.labels
     }  # fmt: skip
     layers |= {name: pixels for name, pixels in optional.items() if pixels is not None}
-    found = (*frame.image.shape[:2], *layers)
+    found = _kind(frame, layers)
     if kind is not None and found != kind:
         raise ValueError(
             f"frame {frame.source} of scene {scene} has {found}, the frames before it {kind}; all "
@@ -128,9 +128,19 @@ def _checked_layers(
                 f"frame {frame.source} of scene {scene}: its {name} have the size "
                 f"{pixels.shape[:2]}, its image {frame.image.shape[:2]}"
             )
-    if not (np.isfinite(frame.world_from_cam).all() and np.isfinite(frame.intrinsics).all()):
+    cameras = (frame.world_from_cam, frame.intrinsics)
+    if not all(matrix is None or np.isfinite(matrix).all() for matrix in cameras):
         raise ValueError(f"frame {frame.source} of scene {scene} has a camera that is not finite")
     return layers
+
+
+def _kind(frame: PreparedFrame, layers: dict[str, np.ndarray]) -> tuple[Any, ...]:
+    posed = frame.world_from_cam is not None and frame.intrinsics is not None
+    return (*frame.image.shape[:2], *layers, "cameras" if posed else "no cameras")
+
+
+def _rows(matrix: np.ndarray | None) -> list[list[float]] | None:
+    return None if matrix is None else matrix.tolist()
 
 
 def _write_png(part: Path, layer: str, number: int, pixels: np.ndarray) -> list[int | str]:
