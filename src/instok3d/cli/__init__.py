@@ -20,6 +20,7 @@ COMMANDS = {
     "doctor": "what this machine has and lacks",
     "evaluate": "measure a model on rooms with known truth",
     "train": "train a model",
+    "models": "weights made elsewhere: list, fetch, convert",
     "data": "make and look at training rooms",
 }
 """Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands.

@@ -14,6 +14,7 @@ from torch import Tensor
 from instok3d.files import write_safetensors
 from instok3d.model.backbone.registry import BACKBONES, name_of
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.model.weights.cache import MissingWeightsError
 
 FORMAT = "instok3d-model-1"
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
@@ -26,10 +27,6 @@ ADDED_LATER: dict[str, dict[str, Any]] = {
     },
 }
 """Sizes that files of this format may lack, and what such a file was made with."""
-
-
-class MissingWeightsError(FileNotFoundError):
-    """The weights that were asked for are not on this machine."""
 
 
 def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: bool = True) -> None:

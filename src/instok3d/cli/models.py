@@ -1,0 +1,150 @@
+"""`instok3d models`: weights made elsewhere, listed, fetched and converted."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from instok3d.model.weights import WeightsEntry
+
+UNKNOWN = "unknown: recorded at the first pull"
+
+
+def list_models(json: bool = False) -> None:
+    """Show every set of weights: size, licences, SHA-256, what it is for, whether it is here.
+
+    Args:
+        json: Print one JSON object.
+    """
+    from instok3d.cli.info import print_json
+    from instok3d.model.weights import CATALOGUE
+
+    rows = [_row(entry) for entry in CATALOGUE]
+    if json:
+        print_json({"weights": rows})
+        return
+    for row in rows:
+        print(f"{row['name']:20} {row['size_bytes'] / 1e6:8.1f} MB  {row['state']}")
+        for name in ("use", "licence", "training_data", "source", "sha256", "path"):
+            print(f"    {name.replace('_', ' '):14} {row[name]}")
+
+
+def pull(names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...")], /) -> None:
+    """Fetch weights into the cache, check them, and print where they lie.
+
+    Args:
+        names: As `instok3d models list` shows them; lpips stands for both networks of LPIPS.
+    """
+    from instok3d.model.weights import find_entries
+    from instok3d.model.weights.cache import check_file, place_of
+    from instok3d.model.weights.catalogue import PackageFile, Shipped
+    from instok3d.model.weights.download import pull_from_hub, pull_from_packages
+
+    if not names:
+        raise ValueError("no weights were named: see instok3d models list")
+    entries = [entry for name in names for entry in find_entries(name)]
+    missing = []
+    for entry in entries:
+        place = place_of(entry)
+        if place.is_file():
+            check_file(entry, place, anew=True)
+            _say(f"{entry.name} is already here, unharmed; nothing was fetched")
+        elif isinstance(entry.source, Shipped):
+            raise FileNotFoundError(f"{entry.name} comes with the package: reinstall instok3d")
+        else:
+            missing.append(entry)
+    packed = [entry for entry in missing if isinstance(entry.source, PackageFile)]
+    if packed:
+        pull_from_packages(packed, _convert_lpips)
+    for entry in missing:
+        if entry not in packed:
+            pull_from_hub(entry, _say)
+    for entry in entries:
+        print(place_of(entry))
+
+
+def convert(
+    checkpoint: Annotated[Positional[Path], arg(metavar="FILE")],
+    /,
+    output: Annotated[Path, arg(aliases=["-o"])],
+    level: str | None = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Write the tensors of a checkpoint of others as a safetensors file.
+
+    The checkpoint is read in a process of its own, and what is more than tensors and plain values
+    is refused.
+
+    Args:
+        checkpoint: A .pt, .pth or .ckpt file.
+        output: The .safetensors file.
+        level: Keys under which the tensors lie, joined by dots, such as state_dict.
+        overwrite: Replace a file that is already there.
+        json: Print one JSON object.
+    """
+    from dataclasses import asdict
+
+    from instok3d.cli.info import print_json
+    from instok3d.cli.targets import check_file
+    from instok3d.model.weights.conversion import convert_checkpoint
+
+    check_file(output, overwrite=overwrite, endings=(".safetensors",))
+    done = convert_checkpoint(checkpoint, output, level=level)
+    if done.left_out:
+        _say(f"left out, for they are no tensors: {', '.join(done.left_out[:10])}")
+    if json:
+        print_json({"file": str(output), **asdict(done)})
+    else:
+        print(f"{output}: {done.tensors} tensors, {done.bytes} bytes, sha256 {done.sha256}")
+
+
+def _row(entry: "WeightsEntry") -> dict[str, Any]:
+    from instok3d.model.weights.cache import check_file, place_of, read_record
+    from instok3d.model.weights.catalogue import HubFiles, PackageFile
+
+    place, source = place_of(entry), entry.source
+    state, sha256, size = "not here", entry.sha256 or UNKNOWN, entry.size_bytes
+    if place.is_file():
+        size, record = place.stat().st_size, read_record(place)
+        try:
+            # Reading 5 GB is nothing for a list: what has no record yet is only said to be there.
+            if record is not None or size < 1e8:
+                state, sha256 = "here", check_file(entry, place)
+            else:
+                state = "here, not checked yet: pull it to check it"
+        except ValueError as error:
+            state = f"here, but {error}"
+    origin = "comes with the package"
+    if isinstance(source, HubFiles):
+        gated = ", access on request" if source.gated else ""
+        origin = f"{source.file} of {source.repository} on the Hugging Face hub{gated}"
+    elif isinstance(source, PackageFile):
+        origin = f"{source.member} of {source.requirement} from the Python package index"
+    return {
+        "name": entry.name,
+        "use": entry.use,
+        "size_bytes": size,
+        "licence": entry.licence,
+        "training_data": entry.training_data,
+        "source": origin,
+        "sha256": sha256,
+        "path": str(place),
+        "present": place.is_file(),
+        "state": state,
+    }
+
+
+def _convert_lpips(entry: "WeightsEntry", member: Path, output: Path) -> None:
+    from instok3d.objectives.lpips_conversion import convert_lpips
+
+    convert_lpips(member, output, trunk="vgg16" if entry.name == "lpips-vgg16" else "alexnet")
+
+
+def _say(line: str) -> None:
+    print(f"instok3d: {line}", file=sys.stderr)
+
+
+COMMANDS = {"list": list_models, "pull": pull, "convert": convert}

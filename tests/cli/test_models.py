@@ -1,0 +1,74 @@
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from instok3d.cli import main
+from instok3d.model.weights import find_entry
+from instok3d.model.weights.cache import place_of
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path / "home"))
+    return tmp_path
+
+
+def test_list_shows_terms_hashes_and_what_is_here(capsys: pytest.CaptureFixture[str]):
+    place = place_of(find_entry("vggt-1b"))
+    place.parent.mkdir(parents=True)
+    place.write_bytes(b"weights")
+    assert main(["models", "list", "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["weights"]}
+    assert set(rows) >= {"default", "vggt-1b", "vggt-1b-commercial", "da3-small", "da3-base",
+                         "lpips-vgg16", "lpips-alexnet", "sam2.1-tiny", "sam2.1-large"}  # fmt: skip
+    assert rows["vggt-1b"]["present"]
+    assert not rows["da3-small"]["present"]
+    assert rows["da3-small"]["sha256"] == "unknown: recorded at the first pull"
+    assert rows["lpips-vgg16"]["sha256"].startswith("4276ceaa")
+    assert rows["vggt-1b"]["size_bytes"] == 7
+    assert "not for commercial use" in rows["vggt-1b"]["licence"]
+    assert main(["models", "list"]) == 0
+    shown = capsys.readouterr().out
+    assert all(row["training_data"] in shown for row in rows.values())
+
+
+def test_pulling_what_is_here_does_nothing_and_says_so(capsys: pytest.CaptureFixture[str]):
+    place = place_of(find_entry("da3-small"))
+    place.parent.mkdir(parents=True)
+    place.write_bytes(b"weights")
+    for _ in range(2):
+        assert main(["models", "pull", "da3-small"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.split() == [str(place)] * 2
+    assert shown.err.count("da3-small is already here, unharmed; nothing was fetched") == 2
+
+
+def test_a_hub_out_of_reach_is_exit_code_4_and_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    assert main(["models", "pull", "vggt-1b"]) == 4
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert all(word in lines[0] for word in ("facebook/VGGT-1B", "config.json", "vggt-1b"))
+    assert main(["models", "pull", "vggt"]) == 2
+    assert main(["models", "pull"]) == 2
+
+
+def test_convert_writes_once_and_says_what(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    torch.save({"model": {"w": torch.ones(2), "step": 1}}, tmp_path / "a.pt")
+    output = tmp_path / "a.safetensors"
+    words = ["models", "convert", str(tmp_path / "a.pt"), "-o", str(output)]
+    assert main([*words, "--json"]) == 0
+    shown = capsys.readouterr()
+    made = json.loads(shown.out)
+    assert (made["tensors"], made["bytes"]) == (1, output.stat().st_size)
+    assert "left out, for they are no tensors: step" in shown.err
+    assert load_file(output)["w"].tolist() == [1, 1]
+    assert main(words) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main([*words[:-1], str(tmp_path / "a.bin")]) == 2
