@@ -1,10 +1,15 @@
 import pickle
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 
+from instok3d.model.weights import MissingWeightsError, cache, find_entry
+from instok3d.model.weights.cache import place_of
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.objectives.lpips_conversion import convert_lpips
 
@@ -78,6 +83,39 @@ def test_the_wrong_trunk_is_named(tmp_path):
     (tmp_path / "a.ckpt").write_bytes(pickle.dumps(a_checkpoint("alexnet")))
     with pytest.raises(ValueError, match="does not fit the vgg16 trunk"):
         convert_lpips(tmp_path / "a.ckpt", tmp_path / "out", trunk="vgg16")
+
+
+def test_pulled_weights_are_found_by_the_name_of_their_network(tmp_path, monkeypatch):
+    monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path))
+    with pytest.raises(MissingWeightsError, match="instok3d models pull lpips-vgg16"):
+        load_lpips("vgg")
+    (tmp_path / "alexnet.ckpt").write_bytes(pickle.dumps(a_checkpoint("alexnet")))
+    entry = find_entry("lpips-alexnet")
+    place_of(entry).parent.mkdir(parents=True)
+    digest = convert_lpips(tmp_path / "alexnet.ckpt", place_of(entry), trunk="alexnet")
+    with pytest.raises(ValueError, match="the catalogue has 6e9370f0"):
+        load_lpips("alex")
+    monkeypatch.setattr(cache, "find_entry", lambda name: replace(entry, sha256=digest))
+    for name in ("alex", "alexnet", str(place_of(entry)), place_of(entry)):
+        assert load_lpips(name).trunk == "alexnet"
+
+
+@pytest.mark.parametrize(("trunk", "short"), [("vgg16", "vgg"), ("alexnet", "alex")])
+def test_pulled_heads_are_those_that_lpips_014_publishes(trunk, short):
+    """Runs where both are: instok3d models pull lpips; pip install --no-deps lpips==0.1.4."""
+    package = find_spec("lpips")
+    if package is None or package.origin is None:
+        pytest.skip("the package lpips is not installed")
+    if not place_of(find_entry(f"lpips-{trunk}")).is_file():
+        pytest.skip(f"lpips-{trunk} was not pulled")
+    published = torch.load(
+        Path(package.origin).parent / "weights" / "v0.1" / f"{short}.pth",
+        weights_only=True, map_location="cpu",
+    )  # fmt: skip
+    heads = load_lpips(trunk).heads
+    assert len(heads) == len(published) == 5
+    for name, value in published.items():
+        assert torch.equal(heads[int(name[3])], value.flatten())
 
 
 def test_missing_and_foreign_files_are_named(tmp_path):

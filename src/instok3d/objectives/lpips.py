@@ -8,7 +8,17 @@ from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from instok3d.model.weights import weights_path
+
 Trunk = Literal["vgg16", "alexnet"]
+
+TRUNKS: dict[str, Trunk] = {
+    "vgg": "vgg16",
+    "vgg16": "vgg16",
+    "alex": "alexnet",
+    "alexnet": "alexnet",
+}
+"""Networks by the names that papers and packages give them."""
 
 VGG16_STAGES = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 
@@ -75,16 +85,24 @@ def _unit(
     return features / (length + 1e-10)
 
 
-def load_lpips(path: Path) -> Lpips:
-    """LPIPS with weights from a safetensors file that `convert_lpips` wrote.
+def load_lpips(weights: Path | str) -> Lpips:
+    """LPIPS with the published weights of a network, or with those of a file.
+
+    Args:
+        weights: vgg16 (vgg) or alexnet (alex): what `instok3d models pull lpips` fetched. Else a
+            safetensors file that `convert_lpips` wrote.
 
     Raises:
+        MissingWeightsError: The published weights are not on this machine; says how to get them.
         FileNotFoundError: There is no such file.
         ValueError: The file is not one of LPIPS weights.
     """
+    name = TRUNKS.get(str(weights))
+    path = Path(weights) if name is None else weights_path(f"lpips-{name}")
     if not path.is_file():
         raise FileNotFoundError(
-            f"no LPIPS weights at {path}; make them with objectives.lpips_conversion.convert_lpips"
+            f"no LPIPS weights at {path}: give a file, or {' or '.join(TRUNKS)} after "
+            "'instok3d models pull lpips'"
         )
     try:
         with safe_open(path, framework="pt") as stream:

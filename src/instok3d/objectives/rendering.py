@@ -37,8 +37,8 @@ def rendering_loss(
     """
     if lpips_weight > 0 and lpips is None:
         raise ValueError(
-            f"lpips_weight={lpips_weight} needs the LPIPS network: give its weights as a "
-            "safetensors file (see objectives.lpips.load_lpips) or set lpips_weight to 0"
+            f"lpips_weight={lpips_weight} needs the LPIPS network: load it with "
+            "objectives.lpips.load_lpips, or set lpips_weight to 0"
         )
     with torch.autocast(predicted.device.type, enabled=False):
         predicted, target = predicted.float(), target.float()
