@@ -13,6 +13,7 @@ from instok3d.data.preparation import PreparationReport, plan_preparation
 from instok3d.data.preparation import prepare as prepare_scenes
 from instok3d.data.prepared import Fault, refresh_index, scene_folders
 from instok3d.data.prepared.verifying import verify_index, verify_scene
+from instok3d.data.re10k import Re10kSource
 from instok3d.data.scannet.source import ScanNetSource
 
 FAILED = 2
@@ -39,7 +40,18 @@ class ScanNetArguments(ScanNetSource, RunArguments):
     """Folder of scans, or LSM's scannet_test.tar."""
 
 
-Arguments = Annotated[ScanNetArguments, subcommand("scannet")]
+@dataclass(frozen=True)
+class Re10kArguments(Re10kSource, RunArguments):
+    """RealEstate10K: .torch chunks, or camera files with their frames."""
+
+    folder: Positional[Path]  # pyright: ignore[reportGeneralTypeIssues]
+    """Folder of the chunks or camera files, or of train/ and test/ with them."""
+
+
+Arguments = (
+    Annotated[ScanNetArguments, subcommand("scannet")]
+    | Annotated[Re10kArguments, subcommand("re10k")]
+)
 
 
 def prepare(arguments: Annotated[Arguments, arg(name="")]) -> int:
@@ -93,5 +105,6 @@ def _summary(report: PreparationReport, folder: Path) -> str:
         f"{report.num_bytes / 1e9:.2f} GB; {report.skipped} were already there"
     ]
     lines += [f"dropped {n} frames: {reason}" for reason, n in sorted(report.dropped.items())]
+    lines += [f"left out {n} scenes: {reason}" for reason, n in sorted(report.left_out.items())]
     lines += [f"failed {name}: {reason}" for name, reason in sorted(report.failed.items())]
     return "\n".join(lines)

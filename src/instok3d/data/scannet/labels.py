@@ -18,7 +18,7 @@ class LabelTable:
     """What each raw label id of ScanNet stands for."""
 
     names: dict[int, str]
-    """raw_category."""
+    """raw_category; of the several that share an id, the first."""
     nyu40_names: dict[int, str]
     """nyu40class, as the table writes it."""
 
@@ -55,6 +55,7 @@ def read_label_table(path: Path) -> LabelTable:
     wrong = [row["id"] for row in rows if not (row["id"] or "").isdecimal()]
     if wrong:
         raise ValueError(f"{path} has the id {wrong[0]!r}, wanted a whole number")
+    rows.reverse()  # of rows with the same id the first one of the file then stays
     return LabelTable(
         names={int(row["id"]): row["raw_category"] or "" for row in rows},
         nyu40_names={int(row["id"]): row["nyu40class"] or "" for row in rows},

@@ -1,0 +1,100 @@
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from instok3d.data.scannet.id_maps import IdMaps, known_instances, read_id_png, write_id_maps
+from scannet_files import id_map, png_bytes
+
+SIZE = (6, 8)
+
+
+def test_maps_are_found_by_frame_number(tmp_path: Path):
+    path = tmp_path / "labels.zip"
+    labels = {number: 300 * id_map(number, SIZE) for number in (0, 7, 120)}
+    write_id_maps(path, "label-filt", labels)
+    with IdMaps(path, "label-filt") as maps:
+        assert maps.last_frame == 120
+        for number, ids in labels.items():
+            np.testing.assert_array_equal(maps.read(number), ids)
+        assert maps.read(1) is None
+
+
+def test_instance_maps_have_eight_bits(tmp_path: Path):
+    path = tmp_path / "instances.zip"
+    write_id_maps(path, "instance-filt", {3: np.full(SIZE, 255)})
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist() == ["instance-filt/3.png"]
+        with archive.open("instance-filt/3.png") as stream:
+            assert Image.open(stream).mode == "L"
+    with pytest.raises(ValueError, match="instance id 256"):
+        write_id_maps(path, "instance-filt", {3: np.full(SIZE, 256)})
+
+
+def test_padded_names_below_another_folder_are_found_too(tmp_path: Path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("scene0000_00/instance-filt/000012.png", png_bytes(np.eye(3, dtype="u1")))
+        archive.writestr("scene0000_00/instance-filt/readme.txt", "")
+    with IdMaps(path, "instance-filt") as maps:
+        np.testing.assert_array_equal(maps.read(12), np.eye(3))
+
+
+def test_the_wrong_archive_is_refused(tmp_path: Path):
+    path = tmp_path / "a.zip"
+    write_id_maps(path, "label-filt", {0: id_map(0, SIZE)})
+    with pytest.raises(ValueError, match=r"no instance-filt/<frame>\.png but label-filt/0\.png"):
+        IdMaps(path, "instance-filt")
+    with zipfile.ZipFile(path, "w"):
+        pass
+    with pytest.raises(ValueError, match="but nothing"):
+        IdMaps(path, "instance-filt")
+
+
+def test_a_cut_or_foreign_archive_is_refused(tmp_path: Path):
+    path = tmp_path / "a.zip"
+    write_id_maps(path, "label-filt", {0: id_map(0, SIZE)})
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(ValueError, match="damaged or no zip archive"):
+        IdMaps(path, "label-filt")
+    with pytest.raises(FileNotFoundError, match="no archive"):
+        IdMaps(tmp_path / "b.zip", "label-filt")
+
+
+def test_a_damaged_map_is_named(tmp_path: Path):
+    path = tmp_path / "a.zip"
+    write_id_maps(path, "label-filt", {0: id_map(0, SIZE)})
+    data = bytearray(path.read_bytes())
+    data[data.index(b"IDAT") + 8] ^= 0xFF
+    path.write_bytes(data)
+    with (
+        IdMaps(path, "label-filt") as maps,
+        pytest.raises(ValueError, match=r"label-filt/0\.png is damaged"),
+    ):
+        maps.read(0)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "damaged or no PNG"),
+        (b"GIF89a", "damaged or no PNG"),
+        (png_bytes(np.zeros((4, 4, 3), np.uint8)), "RGB pixels, wanted"),
+    ],
+)
+def test_only_pictures_of_ids_are_read(data: bytes, message: str):
+    with pytest.raises(ValueError, match=message):
+        read_id_png(data, "x")
+
+
+def test_instances_are_one_more_than_the_ids_of_the_aggregation(tmp_path: Path):
+    path = tmp_path / "a.aggregation.json"
+    path.write_text('{"segGroups": [{"id": 0, "label": "wall"}, {"id": 4, "label": "bed"}]}')
+    assert known_instances(path) == {1, 5}
+    path.write_text('{"segGroups": []}')
+    assert known_instances(path) == set()
+    path.write_text("[]")
+    with pytest.raises(ValueError, match="damaged"):
+        known_instances(path)
