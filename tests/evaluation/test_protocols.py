@@ -53,7 +53,7 @@ def test_missing_test_rooms_name_the_command_that_makes_them():
 def test_rooms_carry_their_level_and_whole_samples():
     source = FlatRooms([2_000_001], ["hard"])
     (room,) = protocol_rooms(source, [0], "rooms-2view", targets_per_scene=2)
-    assert (room.seed, room.level, len(room.samples)) == (2_000_001, "hard", 2)
+    assert (room.name, room.level, len(room.samples)) == ("2000001", "hard", 2)
     sample = room.samples[0]
     assert sample.context.images.shape == (1, 2, 3, 32, 32)
     assert sample.target.images.shape == (1, 1, 3, 32, 32)

@@ -10,10 +10,10 @@ from flat_rooms import FlatRooms, oracle
 from instok3d.evaluation.figures import summarize
 from instok3d.evaluation.instance_ap import ApSettings
 from instok3d.evaluation.prediction import predict
-from instok3d.evaluation.protocols import ProtocolRoom, protocol_rooms
+from instok3d.evaluation.protocols import ProtocolScene, protocol_rooms
 from instok3d.evaluation.report import KEYS, RESULTS_HEADER, as_json, as_table, results_rows
 from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evaluate
-from instok3d.evaluation.scores import GeometryScore, RoomScore, ViewScore, score_views
+from instok3d.evaluation.scores import GeometryScore, SceneScore, ViewScore, score_views
 from instok3d.evaluation.sheet import recolored, write_sheet
 from instok3d.objectives.lpips import Lpips
 from instok3d.types import TokenGroups, Views
@@ -61,7 +61,7 @@ def test_a_model_that_knows_the_truth_measures_so(report):
     assert figures.lpips is None
     assert list(report.levels) == ["easy", "hard"]
     assert report.levels["hard"].targets == 2
-    assert report.seeds == tuple(SEEDS)
+    assert report.scenes == tuple(str(seed) for seed in SEEDS)
 
 
 def test_baselines_have_pictures_or_masks_and_no_geometry(report):
@@ -92,7 +92,7 @@ def test_given_geometry_is_not_measured_against_itself():
 
 def test_no_room_is_an_error():
     rooms = FlatRooms(SEEDS, ["easy", "easy"])
-    with pytest.raises(ValueError, match="at least one room"):
+    with pytest.raises(ValueError, match="at least one scene"):
         evaluate(knowing_model(rooms, targets=1), [], protocol="rooms-2view", model_name="none")
 
 
@@ -126,11 +126,11 @@ def test_figures_of_scores_by_hand():
     def geometry(rotation: float, depth: float) -> GeometryScore:
         return GeometryScore(rotation, math.nan, 0.0, depth, 0.0)
 
-    first = RoomScore(
-        1, "easy", (ViewScore(psnr=20.0), ViewScore(psnr=30.0)),
+    first = SceneScore(
+        "1", "easy", (ViewScore(psnr=20.0), ViewScore(psnr=30.0)),
         tuple(geometry(r, d) for r, d in ((1.0, 0.1), (2.0, 0.2), (9.0, 0.3))), (4, 6, 8),
     )  # fmt: skip
-    second = RoomScore(2, "hard", (ViewScore(psnr=10.0),), (geometry(4.0, 0.4),), (2,))
+    second = SceneScore("2", "hard", (ViewScore(psnr=10.0),), (geometry(4.0, 0.4),), (2,))
     figures = summarize([first, second])
     assert figures.psnr == pytest.approx(20.0)
     assert figures.rotation_deg == pytest.approx(3.0)
@@ -157,7 +157,7 @@ def test_a_sheet_has_a_row_for_contexts_and_one_for_each_target(tmp_path, flat_s
 def test_lpips_is_measured_where_weights_are_and_its_network_is_named(flat_sample):
     torch.manual_seed(0)
     distance = Lpips("alexnet")
-    room = ProtocolRoom(seed=1, level="easy", samples=(flat_sample,))
+    room = ProtocolScene(name="1", level="easy", samples=(flat_sample,))
     report = evaluate(
         oracle(flat_sample), [room], protocol="rooms-2view", model_name="oracle", lpips=distance
     )

@@ -1,4 +1,4 @@
-"""`instok3d evaluate`: measure a model on test rooms, where everything is known."""
+"""`instok3d evaluate`: measure a model on test rooms or on prepared test scenes."""
 
 import sys
 from pathlib import Path
@@ -7,40 +7,60 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
+    from instok3d.data.prepared import Split
+    from instok3d.evaluation.dataset_protocols import DatasetProtocol
     from instok3d.evaluation.prediction import Prediction
-    from instok3d.evaluation.protocols import ProtocolRoom
+    from instok3d.evaluation.protocols import ProtocolScene
+
+Protocol = Literal[
+    "rooms-2view",
+    "rooms-8view",
+    "scannet-2view",
+    "scannet-8view",
+    "re10k-2view",
+    "mipnerf360-2view",
+]
 
 
 def run(
-    protocol: tyro.conf.Positional[Literal["rooms-2view", "rooms-8view"]],
+    protocol: tyro.conf.Positional[Protocol],
     /,
     data: Path,
     model: Path | None = None,
     geometry: Literal["predicted", "given"] = "predicted",
     scenes: int | None = None,
     targets_per_scene: int = 3,
+    index: Path | None = None,
+    all_targets: bool = False,
+    split: Literal["train", "val", "test"] = "test",
     pose_alignment_steps: int = 0,
-    lpips: Path | None = None,
+    lpips: str | None = None,
     baselines: bool = False,
     save: Path | None = None,
     json: bool = False,
     details: bool = False,
     markdown: bool = False,
 ) -> None:
-    """Measure pictures, masks, cameras and depth on the test rooms of a data set.
+    """Measure pictures, masks, cameras and depth on the test scenes of a data set.
 
     Args:
         protocol: rooms-2view shows frames i-1 and i+1 and asks for frame i; rooms-8view shows
-            every other frame of 15 and asks for the 7 between.
-        data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`.
+            every other frame of 15 and asks for the 7 between. The others are those of LSM and
+            Uni3R, pixelSplat, and Uni3R (docs/evaluation.md).
+        data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`, or
+            of prepared scenes, from `instok3d data prepare`.
         model: A model file instead of the default model.
         geometry: predicted: bare photos. given: the model gets true cameras and depth.
-        scenes: Only the first so many rooms.
+        scenes: Only the first so many rooms or scenes.
         targets_per_scene: How many i of each room (rooms-2view).
+        index: The evaluation index of RealEstate10K, a JSON file (re10k-2view).
+        all_targets: Every eighth-frame target of a scene, not its middle one (mipnerf360-2view).
+        split: Which prepared scenes; rooms are told by their seeds.
         pose_alignment_steps: Fit each target camera to the target photo first; off as a rule.
-        lpips: A file of LPIPS weights; without it LPIPS is null.
+        lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
+            it LPIPS is null.
         baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
         save: A folder for a picture of each sample: photos, target, render, true and predicted
             masks.
@@ -50,9 +70,7 @@ def run(
     """
     from tqdm import tqdm
 
-    from instok3d.data.rooms import RoomDataset
-    from instok3d.data.rooms.shards import read_index
-    from instok3d.evaluation.protocols import protocol_rooms, room_indices
+    from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.report import as_json, as_table
     from instok3d.evaluation.run import EvaluationSettings, evaluate
     from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model
@@ -64,39 +82,40 @@ def run(
         raise ValueError("--details adds to the JSON object: pass --json too")
     tokenizer = load_model(model)
     distance = None if lpips is None else load_lpips(lpips)
-    dataset = RoomDataset(data)
-    seeds = [dataset.seed_of(number) for number in range(len(dataset))]
-    shards = read_index(data)["shards"].values()
-    rejected = {seed for shard in shards for seed in shard["rejected"]}
-    indices = room_indices(seeds, rejected=rejected, num_scenes=scenes)
-    rooms = protocol_rooms(dataset, indices, protocol, targets_per_scene=targets_per_scene)
+    if protocol in ("rooms-2view", "rooms-8view"):
+        total, asked = _rooms(data, protocol, scenes, targets_per_scene)
+    else:
+        total, asked = _prepared(data, protocol, scenes, index, all_targets, split)
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
     file = DEFAULT_MODEL if model is None else model
-    with tqdm(total=len(indices), unit="room", file=sys.stderr, disable=None) as progress:
+    with tqdm(total=total, unit="scene", file=sys.stderr, disable=None) as progress:
 
-        def on_room(room: "ProtocolRoom", predictions: "Sequence[Prediction]") -> None:
+        def on_scene(scene: "ProtocolScene", predictions: "Sequence[Prediction]") -> None:
             progress.update()
             if save is not None:
-                _save_sheets(save, protocol, room, predictions)
+                _save_sheets(save, protocol, scene, predictions)
 
         report = evaluate(
             tokenizer,
-            rooms,
+            asked,
             EvaluationSettings(
-                geometry=geometry, pose_alignment_steps=pose_alignment_steps, baselines=baselines
+                geometry=geometry,
+                pose_alignment_steps=pose_alignment_steps,
+                ap=ApSettings(min_instance_area=20 if protocol.startswith("rooms-") else 0),
+                baselines=baselines,
             ),
             protocol=protocol,
             model_name=f"{file.name} sha256:{file_sha256(file)[:12]}",
             lpips=distance,
-            on_room=on_room,
+            on_scene=on_scene,
         )
     if json:
         from instok3d.cli.info import print_json
 
         print_json(as_json(report, details=details))
     elif markdown:
-        from instok3d.evaluation.report import RESULTS_HEADER, results_rows
+        from instok3d.evaluation.report import results_header, results_rows
         from instok3d.model.files import read_card
         from instok3d.training.checkpoint import current_commit
 
@@ -107,18 +126,62 @@ def run(
             seed=read_card(model).get("config", {}).get("seed"),
             machine=_machine(),
         )
-        print(f"{RESULTS_HEADER}\n{rows}")
+        print(f"{results_header(report)}\n{rows}")
     else:
         print(as_table(report))
 
 
+def _rooms(
+    data: Path,
+    protocol: Literal["rooms-2view", "rooms-8view"],
+    num_scenes: int | None,
+    targets_per_scene: int,
+) -> tuple[int, "Iterable[ProtocolScene]"]:
+    """How many test rooms there are to measure, and those rooms."""
+    from instok3d.data.rooms import RoomDataset
+    from instok3d.data.rooms.shards import read_index
+    from instok3d.evaluation.protocols import protocol_rooms, room_indices
+
+    dataset = RoomDataset(data)
+    seeds = [dataset.seed_of(number) for number in range(len(dataset))]
+    shards = read_index(data)["shards"].values()
+    rejected = {seed for shard in shards for seed in shard["rejected"]}
+    indices = room_indices(seeds, rejected=rejected, num_scenes=num_scenes)
+    rooms = protocol_rooms(dataset, indices, protocol, targets_per_scene=targets_per_scene)
+    return len(indices), rooms
+
+
+def _prepared(
+    data: Path,
+    protocol: "DatasetProtocol",
+    num_scenes: int | None,
+    index: Path | None,
+    all_targets: bool,
+    split: "Split",
+) -> tuple[int, "Iterable[ProtocolScene]"]:
+    """How many prepared scenes there are to look at, and those that the protocol can use."""
+    from instok3d.data.prepared import PreparedScenes
+    from instok3d.evaluation.dataset_protocols import (
+        frame_chooser,
+        protocol_scenes,
+        read_re10k_index,
+    )
+
+    entries = None if index is None else read_re10k_index(index)
+    choose = frame_chooser(protocol, re10k_index=entries, all_targets=all_targets)
+    prepared = PreparedScenes(data, splits=(split,))
+    total = min(len(prepared), num_scenes or len(prepared))
+    return total, protocol_scenes(prepared, protocol, choose, num_scenes=num_scenes)
+
+
 def _save_sheets(
-    folder: Path, protocol: str, room: "ProtocolRoom", predictions: "Sequence[Prediction]"
+    folder: Path, protocol: str, scene: "ProtocolScene", predictions: "Sequence[Prediction]"
 ) -> None:
     from instok3d.evaluation.sheet import write_sheet
 
-    for number, (sample, prediction) in enumerate(zip(room.samples, predictions, strict=True)):
-        name = f"{protocol}_{room.level}_{room.seed}_{number}.png"
+    kind = "" if scene.level is None else f"{scene.level}_"
+    for number, (sample, prediction) in enumerate(zip(scene.samples, predictions, strict=True)):
+        name = f"{protocol}_{kind}{scene.name}_{number}.png"
         write_sheet(folder / name, sample, prediction)
 
 

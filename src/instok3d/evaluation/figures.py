@@ -1,4 +1,4 @@
-"""Figures over rooms from the scores of their views."""
+"""Figures over scenes from the scores of their views."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from instok3d.evaluation.instance_ap import average_precision, scene_macro_ap
-from instok3d.evaluation.scores import RoomScore
+from instok3d.evaluation.scores import SceneScore
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of one method over some rooms; None is what was not measured.
+    """Figures of one method over some scenes; None is what was not measured.
 
-    Pictures: mean over target views. AP: pooled over target views. Cameras: median over rooms of
-    the median over a room's samples. Depth: mean over rooms of the mean over a room's samples.
+    Pictures: mean over target views. AP: pooled over target views. Cameras: median over scenes of
+    the median over a scene's samples. Depth: mean over scenes of the mean over a scene's samples.
     """
 
     scenes: int
@@ -49,21 +49,21 @@ class Figures:
     """Groups that win at least one anchor, mean over samples."""
 
 
-def summarize(rooms: Sequence[RoomScore]) -> Figures:
-    """Figures over rooms that were measured by one method."""
-    views = [view for room in rooms for view in room.views]
+def summarize(scenes: Sequence[SceneScore]) -> Figures:
+    """Figures over scenes that were measured by one method; what has no truth is left out."""
+    views = [view for scene in scenes for view in scene.views]
     pooled = average_precision([view.matches for view in views if view.matches])
-    macro = scene_macro_ap([[v.matches for v in room.views if v.matches] for room in rooms])
+    macro = scene_macro_ap([[v.matches for v in scene.views if v.matches] for scene in scenes])
     large = average_precision([view.matches_large for view in views if view.matches_large])
     with_masks = sum(view.matches is not None for view in views)
 
-    def of_rooms(name: str, of_samples: str) -> list[float]:
+    def of_scenes(name: str, of_samples: str) -> list[float]:
         function = {"median": np.median, "mean": np.mean}[of_samples]
-        each = [[getattr(score, name) for score in room.geometry] for room in rooms]
+        each = [_not_nan(getattr(score, name) for score in scene.geometry) for scene in scenes]
         return [float(function(values)) for values in each if values]
 
     return Figures(
-        scenes=len(rooms),
+        scenes=len(scenes),
         targets=len(views),
         psnr=_mean(view.psnr for view in views),
         ssim=_mean(view.ssim for view in views),
@@ -79,24 +79,28 @@ def summarize(rooms: Sequence[RoomScore]) -> Figures:
         ap25_large=_known(large.ap25),
         instances_per_view=pooled.num_instances / with_masks if with_masks else None,
         masks_per_view=pooled.num_masks / with_masks if with_masks else None,
-        rotation_deg=_median(of_rooms("rotation_deg", "median")),
-        direction_deg=_median(of_rooms("direction_deg", "median")),
-        length_rel=_median(of_rooms("length_rel", "median")),
-        depth_rel=_mean(of_rooms("depth_rel", "mean")),
-        depth_rel_unscaled=_mean(of_rooms("depth_rel_unscaled", "mean")),
+        rotation_deg=_median(of_scenes("rotation_deg", "median")),
+        direction_deg=_median(of_scenes("direction_deg", "median")),
+        length_rel=_median(of_scenes("length_rel", "median")),
+        depth_rel=_mean(of_scenes("depth_rel", "mean")),
+        depth_rel_unscaled=_mean(of_scenes("depth_rel_unscaled", "mean")),
         psnr_depth_scaled=_mean(view.psnr_depth_scaled for view in views),
-        groups_used=_mean(float(count) for room in rooms for count in room.groups_used),
+        groups_used=_mean(float(count) for scene in scenes for count in scene.groups_used),
     )
 
 
 def _mean(values: Iterable[float]) -> float | None:
-    values = list(values)
-    return _known(float(np.mean(values))) if values else None
+    known = _not_nan(values)
+    return float(np.mean(known)) if known else None
 
 
-def _median(values: Sequence[float]) -> float | None:
-    known = [value for value in values if not np.isnan(value)]
+def _median(values: Iterable[float]) -> float | None:
+    known = _not_nan(values)
     return float(np.median(known)) if known else None
+
+
+def _not_nan(values: Iterable[float]) -> list[float]:
+    return [value for value in values if not np.isnan(value)]
 
 
 def _known(value: float) -> float | None:

@@ -37,7 +37,8 @@ class Prediction:
     """Of the context views, batch of one."""
     images_depth_scaled: Float[Tensor, "target 3 height width"] | None
     """The targets rendered with the length fitted to true depth instead of baselines: a
-    diagnostic that says how much of an error is the length alone. None with given geometry."""
+    diagnostic that says how much of an error is the length alone. None with given geometry and
+    where no depth is known."""
 
 
 @torch.no_grad()
@@ -83,8 +84,9 @@ def predict(
         cameras = target
     else:
         cameras = place(baseline_scale(predicted.cam_from_world, context.cam_from_world))
-        scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
-        by_depth = render(gaussians, place(scale), height, width).colors
+        if (sample.context.depths > 0).any():
+            scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
+            by_depth = render(gaussians, place(scale), height, width).colors
     cameras = refined_cameras(
         gaussians, cameras, sample.target.images[0], steps=pose_alignment_steps
     )

@@ -29,14 +29,15 @@ class RoomSource(SceneSource, Protocol):
 
 
 @dataclass(frozen=True)
-class ProtocolRoom:
-    """One test room with all that is asked of it."""
+class ProtocolScene:
+    """One test scene with all that is asked of it."""
 
-    seed: int
-    level: str
-    """One of LEVELS."""
+    name: str
+    """In its data set; the seed of a room."""
+    level: str | None
+    """One of LEVELS for a room."""
     samples: tuple[Sample, ...]
-    """Batches of one: different frames of the room, predicted independently."""
+    """Batches of one: different frames of the scene, predicted independently."""
 
 
 def frame_choices(
@@ -103,13 +104,13 @@ def protocol_rooms(
     protocol: ProtocolName,
     *,
     targets_per_scene: int = 3,
-) -> Iterator[ProtocolRoom]:
+) -> Iterator[ProtocolScene]:
     """The rooms one after the other, read when their turn comes."""
     for index in indices:
         num_frames = source.num_frames(index)
         choices = frame_choices(protocol, num_frames, targets_per_scene=targets_per_scene)
-        yield ProtocolRoom(
-            seed=int(source.name_of(index)),
+        yield ProtocolScene(
+            name=source.name_of(index),
             level=source.level_of(index),
             samples=tuple(make_sample(source, index, choice) for choice in choices),
         )

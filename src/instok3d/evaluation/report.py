@@ -25,7 +25,8 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
 
     Args:
         report: What was measured.
-        details: Adds the key `details`: settings, levels, baselines, further figures, seeds.
+        details: Adds the key `details`: settings, levels, baselines, further figures, seeds of
+            rooms or names of scenes.
     """
     figures = report.figures
     result: dict[str, Any] = {
@@ -41,15 +42,20 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
             "figures": _all(figures),
             "levels": {level: _all(each) for level, each in report.levels.items()},
             "baselines": {name: _all(each) for name, each in report.baselines.items()},
-            "seeds": list(report.seeds),
+            **(
+                {"seeds": [int(name) for name in report.scenes]}
+                if report.of_rooms
+                else {"scenes": list(report.scenes)}
+            ),
         }
     return result
 
 
 def as_table(report: EvaluationReport) -> str:
     """The report for a terminal: a row for the model, each level and each baseline, and notes."""
-    rows = [("", "rooms", *(key.replace("_", " ") for key in KEYS))]
-    named = {"all rooms": report.figures, **report.levels, **report.baselines}
+    word = "rooms" if report.of_rooms else "scenes"
+    rows = [("", word, *(key.replace("_", " ") for key in KEYS))]
+    named = {f"all {word}": report.figures, **report.levels, **report.baselines}
     for name, figures in named.items():
         rows.append((name, str(figures.scenes), *_cells(figures)))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -66,19 +72,28 @@ def notes(report: EvaluationReport) -> list[str]:
     """Sentences that belong to the figures: the rules of AP, and what is missing and why."""
     ap = report.settings.ap
     figures = report.figures
+    word = "rooms" if report.of_rooms else "scenes"
     lines = [
         f"AP: instances of at least {ap.min_instance_area} pixels, masks of at least "
         f"{ap.min_predicted_area}, void pixels {ap.void}d, confidence = mean map, pooled over "
-        f"{figures.targets} target views; mean over rooms {_text(figures.ap_scene_mean)} / "
+        f"{figures.targets} target views; mean over {word} {_text(figures.ap_scene_mean)} / "
         f"{_text(figures.ap50_scene_mean)} / {_text(figures.ap25_scene_mean)}; instances of at "
         f"least 50 pixels {_text(figures.ap_large)} / {_text(figures.ap50_large)} / "
         f"{_text(figures.ap25_large)} (AP / AP50 / AP25)."
     ]
+    if figures.ap is None:
+        lines = ["AP was not measured: the scenes have no instances that are known."]
     if report.lpips_trunk is None:
         lines.append("LPIPS was not measured: no weights were given (--lpips).")
     elif report.lpips_trunk != "vgg16":
         lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
-    if report.settings.geometry == "predicted":
+    if report.settings.geometry == "predicted" and figures.psnr_depth_scaled is None:
+        lines.append(
+            "Target cameras were brought into the predicted world by the context cameras alone. "
+            "No true depth is known. Baselines between context views: "
+            f"{_text(figures.direction_deg)} degrees off in direction."
+        )
+    elif report.settings.geometry == "predicted":
         lines.append(
             "Target cameras were brought into the predicted world by the context cameras alone; "
             f"with the length from true depth instead, PSNR is {_text(figures.psnr_depth_scaled)}."
@@ -94,6 +109,11 @@ def notes(report: EvaluationReport) -> list[str]:
             f"{report.settings.pose_alignment_steps} steps of pose alignment."
         )
     return lines
+
+
+def results_header(report: EvaluationReport) -> str:
+    """RESULTS_HEADER, with the word for what was measured."""
+    return RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
 
 
 def results_rows(

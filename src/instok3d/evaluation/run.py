@@ -1,4 +1,4 @@
-"""Measure a model, and what needs no model, on the rooms of a protocol."""
+"""Measure a model, and what needs no model, on the scenes of a protocol."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ from instok3d.data.sample import Sample
 from instok3d.evaluation.figures import Figures, summarize
 from instok3d.evaluation.instance_ap import ApSettings
 from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, predict
-from instok3d.evaluation.protocols import LEVELS, ProtocolRoom
-from instok3d.evaluation.scores import RoomScore, ViewScore, score_geometry, score_views
+from instok3d.evaluation.protocols import LEVELS, ProtocolScene
+from instok3d.evaluation.scores import SceneScore, ViewScore, score_geometry, score_views
 from instok3d.evaluation.simple_baselines import color_masks, nearest_contexts, warped_photos
 from instok3d.objectives.lpips import Lpips
 
@@ -42,45 +42,51 @@ class EvaluationReport:
     levels: dict[str, Figures]
     """easy, medium and hard rooms alone."""
     baselines: dict[str, Figures]
-    seeds: tuple[int, ...]
+    scenes: tuple[str, ...]
+    """Names; the seeds of rooms."""
+
+    @property
+    def of_rooms(self) -> bool:
+        """Whether it is of rendered rooms, which have seeds and levels."""
+        return self.protocol.startswith("rooms-")
 
 
 def evaluate(
     model: Model,
-    rooms: Iterable[ProtocolRoom],
+    scenes: Iterable[ProtocolScene],
     settings: EvaluationSettings = EvaluationSettings(),
     *,
     protocol: str,
     model_name: str,
     lpips: Lpips | None = None,
-    on_room: Callable[[ProtocolRoom, Sequence[Prediction]], None] | None = None,
+    on_scene: Callable[[ProtocolScene, Sequence[Prediction]], None] | None = None,
 ) -> EvaluationReport:
-    """Measure a model on the rooms of a protocol.
+    """Measure a model on the scenes of a protocol.
 
     Args:
         model: Photos in, token groups out; in eval mode.
-        rooms: See `protocols.protocol_rooms`.
+        scenes: See `protocols.protocol_rooms` and `dataset_protocols.protocol_scenes`.
         settings: How to measure.
         protocol: Name for the report.
         model_name: Name for the report, best with the hash of the weights.
         lpips: With weights; None leaves LPIPS out.
-        on_room: Called after each room with its predictions, for progress and pictures.
+        on_scene: Called after each scene with its predictions, for progress and pictures.
 
     Raises:
-        ValueError: There is no room.
+        ValueError: There is no scene.
     """
-    scores: list[RoomScore] = []
-    baselines: dict[str, list[RoomScore]] = {}
-    for room in rooms:
-        predictions = [_predict(model, sample, settings) for sample in room.samples]
-        scores.append(_score_model(room, predictions, settings, lpips))
+    scores: list[SceneScore] = []
+    baselines: dict[str, list[SceneScore]] = {}
+    for scene in scenes:
+        predictions = [_predict(model, sample, settings) for sample in scene.samples]
+        scores.append(_score_model(scene, predictions, settings, lpips))
         if settings.baselines:
-            for name, score in _score_baselines(room, predictions, settings, lpips).items():
+            for name, score in _score_baselines(scene, predictions, settings, lpips).items():
                 baselines.setdefault(name, []).append(score)
-        if on_room is not None:
-            on_room(room, predictions)
+        if on_scene is not None:
+            on_scene(scene, predictions)
     if not scores:
-        raise ValueError("evaluate needs at least one room, got none")
+        raise ValueError("evaluate needs at least one scene, got none")
     levels = [level for level in LEVELS if any(score.level == level for score in scores)]
     return EvaluationReport(
         protocol=protocol,
@@ -90,7 +96,7 @@ def evaluate(
         figures=summarize(scores),
         levels={level: summarize([s for s in scores if s.level == level]) for level in levels},
         baselines={name: summarize(each) for name, each in baselines.items()},
-        seeds=tuple(score.seed for score in scores),
+        scenes=tuple(score.name for score in scores),
     )
 
 
@@ -105,12 +111,12 @@ def _predict(model: Model, sample: Sample, settings: EvaluationSettings) -> Pred
 
 
 def _score_model(
-    room: ProtocolRoom,
+    scene: ProtocolScene,
     predictions: Sequence[Prediction],
     settings: EvaluationSettings,
     lpips: Lpips | None,
-) -> RoomScore:
-    pairs = list(zip(room.samples, predictions, strict=True))
+) -> SceneScore:
+    pairs = list(zip(scene.samples, predictions, strict=True))
     views = [
         score_views(
             sample,
@@ -125,9 +131,9 @@ def _score_model(
     geometry = ()
     if settings.geometry == "predicted":
         geometry = tuple(score_geometry(sample, each.geometry) for sample, each in pairs)
-    return RoomScore(
-        seed=room.seed,
-        level=room.level,
+    return SceneScore(
+        name=scene.name,
+        level=scene.level,
         views=tuple(view for sample_views in views for view in sample_views),
         geometry=geometry,
         groups_used=tuple(prediction.num_groups_used for prediction in predictions),
@@ -135,13 +141,13 @@ def _score_model(
 
 
 def _score_baselines(
-    room: ProtocolRoom,
+    scene: ProtocolScene,
     predictions: Sequence[Prediction],
     settings: EvaluationSettings,
     lpips: Lpips | None,
-) -> dict[str, RoomScore]:
+) -> dict[str, SceneScore]:
     views: dict[str, list[ViewScore]] = {}
-    for sample, prediction in zip(room.samples, predictions, strict=True):
+    for sample, prediction in zip(scene.samples, predictions, strict=True):
         nearest = sample.context.images[0, nearest_contexts(sample)]
         warped = warped_photos(sample, prediction.geometry, prediction.cameras)
         for name, images in (
@@ -157,4 +163,4 @@ def _score_baselines(
             masks = [color_masks(image.clamp(0, 1)) for image in images]
             scores = score_views(sample, None, masks, settings.ap)
             views.setdefault(name, []).extend(scores)
-    return {name: RoomScore(room.seed, room.level, tuple(each)) for name, each in views.items()}
+    return {name: SceneScore(scene.name, scene.level, tuple(each)) for name, each in views.items()}

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.sample import Sample
-from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
+from instok3d.evaluation.geometry_errors import DepthErrors, camera_errors, depth_errors
 from instok3d.evaluation.image_quality import psnr, ssim
 from instok3d.evaluation.instance_ap import ApSettings, ImageMatches, PredictedMasks, match_image
 from instok3d.objectives.lpips import Lpips
@@ -33,7 +33,10 @@ class ViewScore:
 
 @dataclass(frozen=True)
 class GeometryScore:
-    """One sample's context views: cameras median over pairs, depth mean over pixels."""
+    """One sample's context views: cameras median over pairs, depth mean over pixels.
+
+    NaN where the truth is not known; without depth the length of a baseline has no scale.
+    """
 
     rotation_deg: float
     direction_deg: float
@@ -43,11 +46,11 @@ class GeometryScore:
 
 
 @dataclass(frozen=True)
-class RoomScore:
-    """All samples of one room, by one method."""
+class SceneScore:
+    """All samples of one scene, by one method."""
 
-    seed: int
-    level: str
+    name: str
+    level: str | None
     views: tuple[ViewScore, ...]
     geometry: tuple[GeometryScore, ...] = ()
     groups_used: tuple[int, ...] = ()
@@ -95,14 +98,18 @@ def score_geometry(sample: Sample, geometry: Geometry) -> GeometryScore:
     """Errors of the predicted cameras and depth of the context views of a sample of one."""
     assert sample.context.depths is not None
     assert sample.context.cam_from_world is not None
-    depth = depth_errors(geometry.depths[0], sample.context.depths[0])
+    depth = DepthErrors(np.nan, np.nan, np.nan)
+    if (sample.context.depths > 0).any():
+        depth = depth_errors(geometry.depths[0], sample.context.depths[0])
     cameras = camera_errors(
-        geometry.cameras.cam_from_world[0], sample.context.cam_from_world[0], scale=depth.scale
+        geometry.cameras.cam_from_world[0],
+        sample.context.cam_from_world[0],
+        scale=1.0 if np.isnan(depth.scale) else depth.scale,
     )
     return GeometryScore(
         rotation_deg=float(cameras.rotation_deg.nanmedian()),
         direction_deg=float(cameras.direction_deg.nanmedian()),
-        length_rel=float(cameras.length_rel.nanmedian()),
+        length_rel=np.nan if np.isnan(depth.scale) else float(cameras.length_rel.nanmedian()),
         depth_rel=depth.scaled,
         depth_rel_unscaled=depth.unscaled,
     )
