@@ -27,13 +27,30 @@ TINY = replace(
 assert isinstance(TINY, TrainConfig)
 
 
+class Gain(nn.Module):
+    """A scalar parameter, as the models have some; FSDP cannot cut it in parts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gain = nn.Parameter(torch.tensor(1.5))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x * self.gain
+
+
 class ToyStage:
-    def __init__(self, bad_step: int | None = None, bad_gradient_step: int | None = None) -> None:
+    def __init__(
+        self,
+        bad_step: int | None = None,
+        bad_gradient_step: int | None = None,
+        dropout: float = 0.5,
+    ) -> None:
+        self.dropout = dropout
         self.bad_step = bad_step
         self.bad_gradient_step = bad_gradient_step
 
     def build_model(self) -> nn.Module:
-        return nn.Sequential(nn.Linear(3, 8), nn.Dropout(0.5), nn.Linear(8, 1))
+        return nn.Sequential(nn.Linear(3, 8), nn.Dropout(self.dropout), nn.Linear(8, 1), Gain())
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
         model.load_state_dict(dict(weights))

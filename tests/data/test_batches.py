@@ -49,7 +49,7 @@ def test_an_epoch_sees_every_scene_once():
 def test_reading_ahead_gives_the_same_batches_in_order():
     direct, ahead = batches(), batches().iterate(6)
     for expected in (6, 7, 8):
-        step, sample = next(ahead)
+        step, (sample,) = next(ahead)
         assert step == expected
         assert same(sample, direct.batch(expected))
 

@@ -50,6 +50,18 @@ def test_perfect_maps_cost_almost_nothing():
     assert loss.matched == 2
 
 
+def test_loss_of_a_batch_is_the_mean_of_the_losses_of_its_scenes(rng):
+    """Also where they have unlike numbers of instances, or none: the batch may then be cut."""
+    maps, instances = some_maps(rng, batch=3), some_instances(rng, batch=3)
+    instances[0][instances[0] > 1] = 0
+    instances[2] = 0
+    whole = segmentation_loss(maps, instances, min_pixels=1)
+    parts = [segmentation_loss(maps[k : k + 1], instances[k : k + 1], min_pixels=1) for k in (0, 1)]
+    assert [part.matched for part in parts] == [1, 3]
+    expected = torch.stack([part.total for part in parts]).sum() / 3
+    torch.testing.assert_close(whole.total, expected)
+
+
 def test_an_object_is_one_group_in_all_views_together():
     # Group 0 fits view 0, group 1 fits view 1: per view each would be perfect, per scene only
     # one of them can be the object's, and half of it is missed.

@@ -1,11 +1,13 @@
 """Training batches as a pure function of (seed, step, rank): no state to save or restore."""
 
 import warnings
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import count
 from typing import Literal
 from zlib import crc32
 
@@ -75,9 +77,9 @@ class BatchConfig:
 class SceneBatches:
     """Batches by step. Equal arguments give equal bytes, whatever was asked for before.
 
-    The global batch of a step is cut into one part for each rank, so the samples of a two-view
-    step depend on batch_size * world_size alone; a step of more views leaves out the last places
-    of each part. Every epoch goes through all scenes in a new order. Scenes with too few frames
+    The global batch of a step is cut into `accumulate` parts for each rank, so the samples of a
+    two-view step depend on batch_size * accumulate * world_size alone; a step of more views leaves
+    out the last places of each part. Every epoch goes through all scenes in a new order. Scenes with too few frames
     for a sample are left out with a warning.
 
     Args:
@@ -85,6 +87,7 @@ class SceneBatches:
         scenes: Numbers of the scenes to draw from.
         seed: Chooses order, frames and photometric changes.
         rank: This process, of world_size.
+        accumulate: Parts of a step that a process takes one after the other.
     """
 
     def __init__(
@@ -96,37 +99,54 @@ class SceneBatches:
         seed: int,
         rank: int = 0,
         world_size: int = 1,
+        accumulate: int = 1,
     ) -> None:
         if not scenes:
             raise ValueError("SceneBatches needs at least one scene, got an empty list")
         if not 0 <= rank < world_size:
             raise ValueError(f"rank must be in 0..{world_size - 1}, got {rank}")
+        if accumulate < 1:
+            raise ValueError(f"accumulate must be at least 1, got {accumulate}")
         self.source = source
         self.scenes = _long_enough(source, scenes, config)
         self.config = config
         self.seed = seed
         self.rank = rank
         self.world_size = world_size
+        self.accumulate = accumulate
         self._epoch_order = lru_cache(maxsize=2)(self._make_epoch_order)
 
-    def batch(self, step: int) -> Sample:
-        """This rank's part of the batch of one step."""
+    def batch(self, step: int, part: int = 0) -> Sample:
+        """One of this rank's parts of the batch of a step."""
         views = int(np.random.default_rng([self.seed, 0, step]).choice(self.config.views))
         size = max(1, self.config.batch_size * 2 // views)
         # Places are counted as if every step had two views: the numbers of later steps then do
         # not depend on what earlier steps drew.
-        first = (step * self.world_size + self.rank) * self.config.batch_size
+        parts = (step * self.world_size + self.rank) * self.accumulate + part
+        first = parts * self.config.batch_size
         return collate([self._sample(first + place, views, step) for place in range(size)])
 
-    def iterate(self, first_step: int) -> Iterator[tuple[int, Sample]]:
-        """(step, batch) from first_step on without end; one batch ahead is read in a thread."""
-        with ThreadPoolExecutor(max_workers=1) as reader:
-            step, ahead = first_step, reader.submit(self.batch, first_step)
-            while True:
-                sample = ahead.result()
-                ahead = reader.submit(self.batch, step + 1)
-                yield step, sample
-                step += 1
+    def iterate(self, first_step: int, readers: int = 1) -> Iterator[tuple[int, list[Sample]]]:
+        """(step, its parts) from first_step on without end, the same for any number of readers.
+
+        Args:
+            first_step: Where to begin.
+            readers: Threads, each of which reads one part ahead.
+        """
+        if readers < 1:
+            raise ValueError(f"readers must be at least 1, got {readers}")
+        pool = ThreadPoolExecutor(readers)
+        coming = ((step, part) for step in count(first_step) for part in range(self.accumulate))
+        ahead = deque(pool.submit(self.batch, *next(coming)) for _ in range(readers))
+        try:
+            for step in count(first_step):
+                parts = []
+                for _ in range(self.accumulate):
+                    parts.append(ahead.popleft().result())
+                    ahead.append(pool.submit(self.batch, *next(coming)))
+                yield step, parts
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def _make_epoch_order(self, epoch: int) -> np.ndarray:
         return np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.scenes))

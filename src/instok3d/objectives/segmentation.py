@@ -14,7 +14,10 @@ EPSILON = 1e-6
 
 @dataclass(frozen=True)
 class SegmentationLoss:
-    """Means over all matched pairs of the batch; 0 where nothing was matched."""
+    """Means over each scene's matched pairs, 0 for a scene without one, then over the scenes.
+
+    So the loss of a batch is the mean of the losses of its parts, wherever these are computed.
+    """
 
     total: Float[Tensor, ""]
     """bce_weight * bce + dice_weight * dice."""
@@ -51,7 +54,7 @@ def segmentation_loss(
             to be absent there (the default: the void is for them).
     """
     labelled = instances > 0 if ignore_unlabelled else instances >= 0
-    scenes, groups, ids = [], [], []
+    scenes, groups, ids, shares = [], [], [], []
     for scene in range(len(instances)):
         found = instance_ids(instances[scene], min_pixels=min_pixels)
         if len(found) == 0:
@@ -60,6 +63,7 @@ def segmentation_loss(
             group_maps[scene], instances[scene], labelled[scene], found, bce_weight, dice_weight
         )
         match = match_groups(cost)
+        shares += [1 / (len(match.groups) * len(instances))] * len(match.groups)
         scenes.append(torch.full_like(match.groups, scene))
         groups.append(match.groups)
         ids.append(found[match.instances])
@@ -72,6 +76,7 @@ def segmentation_loss(
             _probabilities(group_maps[scene, :, group], labelled[scene]).flatten(1),
             (instances[scene] == ids[:, None, None, None]).float().flatten(1),
             labelled[scene].flatten(1).sum(dim=1).clamp_min(1),
+            torch.tensor(shares, device=group_maps.device),
         )
     return SegmentationLoss(bce_weight * bce + dice_weight * dice, bce, dice, len(ids))
 
@@ -123,9 +128,10 @@ def _pair_losses(
     maps: Float[Tensor, "pair pixel"],
     masks: Float[Tensor, "pair pixel"],
     pixels: Int[Tensor, " pair"],
+    shares: Float[Tensor, " pair"],
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Mean BCE and Dice of matched pairs over the labelled pixels of all views."""
+    """BCE and Dice over the labelled pixels of all views, summed over pairs by their shares."""
     log_likelihood = (torch.logit(maps) * masks).sum(dim=1) + torch.log1p(-maps).sum(dim=1)
     both = (maps * masks).sum(dim=1)
     dice = 1 - (2 * both + 1) / (maps.sum(dim=1) + masks.sum(dim=1) + 1)
-    return (-log_likelihood / pixels).mean(), dice.mean()
+    return (-log_likelihood / pixels * shares).sum(), (dice * shares).sum()

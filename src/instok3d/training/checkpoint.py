@@ -1,4 +1,8 @@
-"""The whole state of a run in one file: what is needed to go on as if it had never stopped."""
+"""The whole state of a run in one file: what is needed to go on as if it had never stopped.
+
+Tensors are stored whole, however many processes shared them, so that a run can go on with another
+number of processes or another strategy.
+"""
 
 import json
 import pickle
@@ -19,6 +23,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from instok3d.files import replacing
+from instok3d.training.distributed import ALONE, Processes, local, sharded_like, whole
 
 KEPT = 2
 """Checkpoints that stay: should the newest be torn, the one before it takes over."""
@@ -40,7 +45,7 @@ class WeightAverage:
         keep = min(self.decay, (1 + step) / (10 + step))
         trained = _trained(model)
         for name, value in self.values.items():
-            value.lerp_(trained[name], 1 - keep)
+            local(value).lerp_(local(trained[name].detach()), 1 - keep)
 
     @contextmanager
     def applied(self, model: nn.Module) -> Iterator[None]:
@@ -81,16 +86,20 @@ class RunState:
     """The scenes of the data set that this run uses, held-out ones first."""
 
 
-def save_checkpoint(folder: Path, state: RunState, config: dict[str, Any]) -> Path:
+def save_checkpoint(
+    folder: Path, state: RunState, config: dict[str, Any], processes: Processes = ALONE
+) -> Path:
     """Write checkpoints/step_N.pt, atomically, and remove all but the last two.
+
+    All processes must call it; the first one writes.
 
     Args:
         folder: The run.
-        state: Its state; RNGs of torch, numpy and python are taken from the process.
+        state: Its state; RNGs of torch, numpy and python are taken from each process.
         config: Settings of the run, for a reader.
+        processes: Those of the run.
     """
     checkpoints = folder / "checkpoints"
-    checkpoints.mkdir(parents=True, exist_ok=True)
     path = checkpoints / f"step_{state.step:08d}.pt"
     content = {
         "version": 2,
@@ -101,16 +110,30 @@ def save_checkpoint(folder: Path, state: RunState, config: dict[str, Any]) -> Pa
         "scene_names": state.scene_names,
         "config": json.dumps(config),
         "commit": current_commit(),
-        "model": state.model.state_dict(),
-        "optimizer": state.optimizer.state_dict(),
-        "average": state.average.values,
-        "random": _random_state(),
+        "model": whole(dict(state.model.state_dict())),
+        "optimizer": whole(state.optimizer.state_dict()),
+        "average": whole(state.average.values),
+        "random": processes.gather(_random_state()),
     }
+    if not processes.is_first:
+        return path
+    checkpoints.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
         torch.save(content, part)
     for old in sorted(checkpoints.glob("step_*.pt"))[:-KEPT]:
         old.unlink()
     return path
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a run has got as far as its first checkpoint, whole or torn."""
+    return any((folder / "checkpoints").glob("step_*.pt"))
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a killed process had begun to write; no other may be writing."""
+    for path in (folder / "checkpoints").glob(".step_*"):
+        path.unlink()
 
 
 def read_checkpoint(folder: Path) -> dict[str, Any]:
@@ -128,7 +151,7 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
             with zipfile.ZipFile(path) as archive:  # torch.load does not look at the checksums
                 if broken := archive.testzip():
                     raise zipfile.BadZipFile(f"wrong checksum of {broken}")
-            return _upgraded(torch.load(path, map_location="cpu", weights_only=True))
+            return _upgraded(torch.load(path, map_location="cpu", mmap=True, weights_only=True))
         except (RuntimeError, EOFError, OSError, zipfile.BadZipFile, pickle.UnpicklingError) as e:
             reason = str(e).splitlines()[0] if str(e) else type(e).__name__
             warnings.warn(f"{path.name} is damaged ({reason}); trying the one before", stacklevel=2)
@@ -136,33 +159,64 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
 
 
 def _upgraded(checkpoint: dict[str, Any]) -> dict[str, Any]:
-    """A checkpoint of version 1 knew rooms by their seeds; their names are these as text."""
+    """A checkpoint of version 1 knew rooms by their seeds and had one process."""
     if "scene_seeds" in checkpoint:
         checkpoint["scene_names"] = [str(seed) for seed in checkpoint.pop("scene_seeds")]
+    if isinstance(checkpoint["random"], dict):
+        checkpoint["random"] = [checkpoint["random"]]
     return checkpoint
 
 
-def restore(state: RunState, checkpoint: dict[str, Any]) -> None:
-    """Put a checkpoint into a freshly built state and into the process's RNGs.
+def restore_weights(model: nn.Module, checkpoint: dict[str, Any]) -> None:
+    """Put the weights of a checkpoint into a model that is not yet shared between processes.
 
     Raises:
         ValueError: The run's model has other sizes than the one that was built.
     """
     try:
-        state.model.load_state_dict(checkpoint["model"])
+        model.load_state_dict(checkpoint["model"])
     except RuntimeError as error:
         raise ValueError(
             f"the run's weights do not fit the model that its settings ask for ({error}); sizes "
             "cannot be changed on resuming"
         ) from error
-    state.optimizer.load_state_dict(checkpoint["optimizer"])
-    _copy(checkpoint["average"], state.average.values)
+
+
+def restore(state: RunState, checkpoint: dict[str, Any], processes: Processes = ALONE) -> None:
+    """Put all but the weights into a freshly built state and into this process's RNGs.
+
+    With another number of processes than before, their RNGs start anew, with a warning: dropout
+    and the like then differ from those of a run that did not stop.
+    """
+    state.optimizer.load_state_dict(_sharded_optimizer(state.optimizer, checkpoint["optimizer"]))
+    for name, value in state.average.values.items():
+        local(value).copy_(local(sharded_like(checkpoint["average"][name], value)))
     state.step = checkpoint["step"]
     state.elapsed_s = checkpoint["elapsed_s"]
     state.skipped = checkpoint["skipped"]
     state.skipped_in_a_row = checkpoint["skipped_in_a_row"]
     state.scene_names = checkpoint["scene_names"]
-    _set_random_state(checkpoint["random"])
+    if len(checkpoint["random"]) == processes.count:
+        _set_random_state(checkpoint["random"][processes.rank])
+    else:
+        warnings.warn(
+            f"the run had {len(checkpoint['random'])} processes and now has {processes.count}: "
+            "random numbers start anew",
+            stacklevel=2,
+        )
+
+
+def _sharded_optimizer(optimizer: torch.optim.Optimizer, saved: dict[str, Any]) -> dict[str, Any]:
+    """The saved state with each tensor sharded as the parameter is that it belongs to."""
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    state = {
+        number: {
+            name: sharded_like(value, parameters[number]) if isinstance(value, Tensor) else value
+            for name, value in values.items()
+        }
+        for number, values in saved["state"].items()
+    }
+    return {"state": state, "param_groups": saved["param_groups"]}
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:

@@ -66,6 +66,9 @@ class Processes:
         return values
 
 
+ALONE = Processes()
+
+
 @contextmanager
 def joined_processes(device: str) -> Iterator[Processes]:
     """The processes that torchrun started, or this one alone where it did not.
@@ -75,7 +78,7 @@ def joined_processes(device: str) -> Iterator[Processes]:
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
-        yield Processes()
+        yield ALONE
         return
     processes = Processes(int(os.environ["RANK"]), count, int(os.environ["LOCAL_RANK"]))
     on_gpu = torch.device(device).type == "cuda"
@@ -142,7 +145,7 @@ def share(
             f"strategy 'single' is for one process, got {processes.count}: choose ddp or fsdp"
         )
     if strategy != "fsdp":
-        return DistributedDataParallel(loss, find_unused_parameters=True, broadcast_buffers=False)
+        return DistributedDataParallel(loss, find_unused_parameters=True)
     mesh = init_device_mesh(next(model.parameters()).device.type, (processes.count,))
     lists = [module for module in model.modules() if isinstance(module, nn.ModuleList)]
     units = [unit for members in lists for unit in members]

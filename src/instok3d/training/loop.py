@@ -1,14 +1,19 @@
-"""The training loop, read from top to bottom: validate, picture, save, step, log."""
+"""The training loop, read from top to bottom: validate, picture, save, step, log.
+
+With several processes all of them run it. What depends on a clock or a signal is decided together
+before each step, so that none waits for another; the first one validates, writes and speaks.
+"""
 
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import torch
+from torch import nn
 
 from instok3d.data.batches import SceneBatches
 from instok3d.data.sample import Sample
@@ -16,14 +21,17 @@ from instok3d.data.scenes import SceneSource
 from instok3d.files import replacing
 from instok3d.training.checkpoint import (
     RunState,
-    WeightAverage,
     current_commit,
+    has_checkpoint,
     read_checkpoint,
     read_weights,
+    remove_leftovers,
     restore,
+    restore_weights,
     save_checkpoint,
 )
 from instok3d.training.config import TrainConfig, to_json, write_config
+from instok3d.training.distributed import Processes, joined_processes, share, whole
 from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.plots import plot_curves
 from instok3d.training.run_log import RunLog, RunningMeans
@@ -31,13 +39,31 @@ from instok3d.training.schedule import learning_rate
 from instok3d.training.stages import Stage
 from instok3d.training.update import new_state, train_step
 
+End = Literal["finished", "time limit", "interrupted"]
+
 
 @dataclass(frozen=True)
 class TrainOutcome:
     """How a run ended."""
 
     step: int
-    reason: Literal["finished", "time limit", "interrupted"]
+    reason: End
+
+
+@dataclass(frozen=True)
+class Run:
+    """All that a run works with; what changes is in its state."""
+
+    config: TrainConfig
+    stage: Stage
+    folder: Path
+    processes: Processes
+    state: RunState
+    loss: nn.Module
+    """See `distributed.share`."""
+    batches: SceneBatches
+    validation: dict[int, list[Sample]]
+    """Samples by their number of views; none but in the first process."""
 
 
 def train(
@@ -53,14 +79,14 @@ def train(
 ) -> TrainOutcome:
     """Train one stage and leave checkpoints, metrics, pictures and curves in `folder`.
 
-    SIGINT and SIGTERM end the run after the update in hand, with a checkpoint; a second one
-    ends it at once.
+    Started by torchrun, the processes share the work. SIGINT and SIGTERM in any of them end the
+    run after the update in hand, with a checkpoint; a second one ends it at once.
 
     Args:
         config: Settings; on resuming they must be those of the run except where it ends.
         stage: What is trained, built from config.stage.
         source: Scenes. The run uses those that are there when it starts, also after resuming.
-        folder: The run.
+        folder: The run; on a disk that all machines see.
         resume: Go on from the newest checkpoint; bit for bit as if it had not stopped.
         add_scenes: On resuming, also use the scenes that the data set has gained since; the run is
             then a new one from here on. The held-out scenes stay the same.
@@ -75,121 +101,184 @@ def train(
     """
     if config.threads:
         torch.set_num_threads(config.threads)
-    torch.manual_seed(config.seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    state = new_state(config, stage)
-    all_names = [source.name_of(number) for number in range(len(source))]
-    if resume:
-        restore(state, read_checkpoint(folder))
+    with joined_processes(config.device) as processes:
+        run = _prepared(config, stage, source, folder, processes, resume, add_scenes, init_from)
+        with stop_requests() as requests:
+            return _steps(run, requests, time_limit_min, resume=resume)
+
+
+def _prepared(
+    config: TrainConfig,
+    stage: Stage,
+    source: SceneSource,
+    folder: Path,
+    processes: Processes,
+    resume: bool,
+    add_scenes: bool,
+    init_from: Path | None,
+) -> Run:
+    """The run as it stands before its next step."""
+    torch.manual_seed(config.seed)  # the same first weights in all processes
+    model = stage.build_model()
+    names = [source.name_of(number) for number in range(len(source))]
+    checkpoint = read_checkpoint(folder) if resume else None
+    if checkpoint is not None:
+        restore_weights(model, checkpoint)
+    elif has_checkpoint(folder):
+        raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
+    elif init_from is not None:
+        try:
+            stage.load_initial(model, read_weights(init_from))
+        except RuntimeError as error:
+            raise ValueError(f"{init_from} does not fit the sizes of this run: {error}") from error
+    model.to(processes.device(config.device))
+    loss = share(stage, model, processes, config.strategy)
+    state = new_state(config, model)
+    state.scene_names = names
+    if processes.rank:
+        torch.manual_seed(config.seed + processes.rank)  # dropout of its own
+    if checkpoint is not None:
+        restore(state, checkpoint, processes)
         if add_scenes:
             known = set(state.scene_names)
-            state.scene_names += [name for name in all_names if name not in known]
-    elif (folder / "checkpoints").exists():
-        raise ValueError(f"{folder} holds a run: pass --resume to go on or choose another folder")
-    else:
-        state.scene_names = all_names
-        if init_from is not None:
-            try:
-                stage.load_initial(state.model, read_weights(init_from))
-            except RuntimeError as error:
-                raise ValueError(
-                    f"{init_from} does not fit the sizes of this run: {error}"
-                ) from error
-            state.average = WeightAverage(state.model, config.ema_decay)
-    write_config(folder, config, commit=current_commit())
+            state.scene_names += [name for name in names if name not in known]
     held_out, training = split_scenes(source, state.scene_names, config.holdout)
-    batches = SceneBatches(source, training, config.batches, seed=config.seed)
-    validation = {
-        views: [s.to(config.device) for s in validation_samples(source, held_out, views)]
-        for views in config.validation_views
-    }
-    log = RunLog(folder, total_steps=config.steps, first_step=state.step)
-    log.say(
-        f"{len(training)} scenes to train on, {len(held_out)} held out, "
-        f"{sum(p.numel() for p in state.model.parameters() if p.requires_grad) / 1e6:.2f} M "
-        f"trained parameters, step {state.step} of {config.steps}"
+    batches = SceneBatches(
+        source,
+        training,
+        config.batches,
+        seed=config.seed,
+        rank=processes.rank,
+        world_size=processes.count,
+        accumulate=config.accumulate,
     )
+    validation = {}
+    if processes.is_first:
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(folder)
+        write_config(folder, config, commit=current_commit())
+        for views in config.validation_views:
+            validation[views] = validation_samples(source, held_out, views)
+    return Run(config, stage, folder, processes, state, loss, batches, validation)
 
+
+def _steps(
+    run: Run, requests: list[int], time_limit_min: float | None, *, resume: bool
+) -> TrainOutcome:
+    config, state, folder, processes = run.config, run.state, run.folder, run.processes
+    log = RunLog(
+        folder if processes.is_first else None,
+        total_steps=config.steps,
+        first_step=state.step,
+        resumed=resume,
+    )
+    trained = sum(p.numel() for p in state.model.parameters() if p.requires_grad)
+    log.say(
+        f"{len(run.batches.scenes)} scenes to train on, {config.holdout} held out, "
+        f"{trained / 1e6:.2f} M trained parameters, "
+        f"{processes.count} process{'es' * (processes.count > 1)}, "
+        f"step {state.step} of {config.steps}"
+    )
     start = last_validation = last_save = time.monotonic()
     elapsed_before_s = state.elapsed_s
     sums = RunningMeans()
-    with stop_requests() as requests:
-        for step, sample in batches.iterate(state.step):
-            now = time.monotonic()
-            state.elapsed_s = elapsed_before_s + now - start
-            reason = _end(config, step, now - start, time_limit_min, bool(requests))
+    for step, parts in run.batches.iterate(state.step, config.readers):
+        now = time.monotonic()
+        state.elapsed_s = elapsed_before_s + now - start
+        out_of_time = time_limit_min is not None and now - start >= 60 * time_limit_min
+        stopped, out_of_time, validation_due, save_due = processes.any(
+            bool(requests),
+            processes.is_first and out_of_time,
+            processes.is_first and now - last_validation >= config.validate_every_s,
+            processes.is_first and now - last_save >= config.checkpoint_every_s,
+        )
+        reason = _end(step >= config.steps, stopped, out_of_time)
 
-            # Validate and draw, also before the first step and at the end, on averaged weights.
-            due = now - last_validation >= config.validate_every_s
-            if step == 0 or (reason and reason != "interrupted") or due or (
-                config.validate_every_steps and step % config.validate_every_steps == 0
-            ):  # fmt: skip
-                figures = validate(config, stage, state, validation, folder)
-                log.validation(step, state.elapsed_s, figures)
-                plot_curves(log.path, folder / "curves.png")
-                last_validation = time.monotonic()
-                log.pause(last_validation - now)
+        # Validate and draw, also before the first step and at the end, on averaged weights.
+        ending = reason is not None and reason != "interrupted"
+        if step == 0 or ending or validation_due or _is_turn(step, config.validate_every_steps):
+            with averaged_model(run) as model:
+                if model is not None:
+                    figures = validate(run, model)
+                    log.validation(step, state.elapsed_s, figures)
+                    plot_curves(folder / "metrics.jsonl", folder / "curves.png")
+            last_validation = time.monotonic()
+            log.pause(last_validation - now)
 
-            # Save.
-            before_save = time.monotonic()
-            due = before_save - last_save >= config.checkpoint_every_s
-            if reason or due or (
-                config.checkpoint_every_steps and step and step % config.checkpoint_every_steps == 0
-            ):  # fmt: skip
-                save_checkpoint(folder, state, to_json(config))
-                last_save = time.monotonic()
-                log.pause(last_save - before_save)
-            if reason:
-                log.say(f"{reason} at step {step}")
-                return TrainOutcome(step, reason)
+        # Save.
+        before_save = time.monotonic()
+        if reason or save_due or (step and _is_turn(step, config.checkpoint_every_steps)):
+            save_checkpoint(folder, state, to_json(config), processes)
+            last_save = time.monotonic()
+            log.pause(last_save - before_save)
+        if reason:
+            log.say(f"{reason} at step {step}")
+            return TrainOutcome(step, reason)
 
-            # Step.
-            rate = learning_rate(
-                step,
-                peak=config.lr,
-                warmup_steps=config.warmup_steps,
-                cosine_steps=config.cosine_steps or config.steps,
-                final_fraction=config.final_lr_fraction,
-            )
-            figures = train_step(config, stage, state, sample.to(config.device), rate, folder)
-            state.step += 1
+        # Step.
+        rate = learning_rate(
+            step,
+            peak=config.lr,
+            warmup_steps=config.warmup_steps,
+            cosine_steps=config.cosine_steps or config.steps,
+            final_fraction=config.final_lr_fraction,
+        )
+        figures = train_step(config, run.loss, state, parts, rate, folder, processes)
+        state.step += 1
 
-            # Log.
-            sums.add(figures)
-            if state.step % config.log_every_steps == 0 or state.step == config.steps:
-                log.train(state.step, state.elapsed_s, sums.take() | {"lr": rate})
+        # Log the means over steps and processes.
+        sums.add(figures)
+        if state.step % config.log_every_steps == 0 or state.step == config.steps:
+            over_processes = RunningMeans()
+            for means in processes.gather(sums.take()):
+                over_processes.add(means)
+            log.train(state.step, state.elapsed_s, over_processes.take() | {"lr": rate})
     raise AssertionError("batches never end")
 
 
-@torch.no_grad()
-def validate(
-    config: TrainConfig,
-    stage: Stage,
-    state: RunState,
-    samples: dict[int, list[Sample]],
-    folder: Path,
-) -> dict[str, float]:
-    """Figures of the averaged weights on the held-out samples, and RUN/pictures/step_N.png.
+@contextmanager
+def averaged_model(run: Run) -> Iterator[nn.Module | None]:
+    """The model with averaged weights, for validation; None in all processes but the first.
 
-    With several protocols, their figures are told apart by a prefix. Leaves the RNG as it was.
+    Shards are gathered into a model of its own. Leaves the RNG as it was.
+    """
+    config, state, processes = run.config, run.state, run.processes
+    device = torch.device(processes.device(config.device))
+    with torch.random.fork_rng([device] if device.type == "cuda" else []):
+        if config.strategy == "fsdp" and processes.count > 1:
+            average = state.average.values if config.ema_decay else {}
+            weights = whole({**state.model.state_dict(), **average})
+            if not processes.is_first:
+                yield None
+                return
+            model = run.stage.build_model().to(device)
+            model.load_state_dict(weights)
+            yield model.eval()
+        elif processes.is_first:
+            applied = state.average.applied(state.model) if config.ema_decay else nullcontext()
+            with applied:
+                yield state.model.eval()
+            state.model.train()
+        else:
+            yield None
+
+
+@torch.no_grad()
+def validate(run: Run, model: nn.Module) -> dict[str, float]:
+    """Figures of a model on the held-out samples, and RUN/pictures/step_N.png.
+
+    With several protocols, their figures are told apart by a prefix.
     """
     figures: dict[str, float] = {}
-    device = next(state.model.parameters()).device.type
-    average = state.average if config.ema_decay else WeightAverage(state.model, 0.0)
-    state.model.eval()
-    with (
-        torch.random.fork_rng(),
-        average.applied(state.model),
-        torch.autocast(device, torch.bfloat16, enabled=config.amp),
-    ):
-        for views, batches in samples.items():
-            prefix = f"{views}views_" if len(samples) > 1 else ""
-            found = stage.validate(state.model, batches)
+    device = run.processes.device(run.config.device)
+    with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=run.config.amp):
+        for views, samples in run.validation.items():
+            prefix = f"{views}views_" if len(run.validation) > 1 else ""
+            found = run.stage.validate(model, [sample.to(device) for sample in samples])
             figures |= {prefix + name: value for name, value in found.items()}
-        first = next(iter(samples.values()))[0]
-        picture = stage.pictures(state.model, first)
-    state.model.train()
-    path = folder / "pictures" / f"step_{state.step:08d}.png"
+        first = next(iter(run.validation.values()))[0]
+        picture = run.stage.pictures(model, first.to(device))
+    path = run.folder / "pictures" / f"step_{run.state.step:08d}.png"
     path.parent.mkdir(exist_ok=True)
     with replacing(path) as part:
         picture.save(part)
@@ -216,13 +305,13 @@ def stop_requests() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _end(
-    config: TrainConfig, step: int, spent_s: float, time_limit_min: float | None, stopped: bool
-) -> Literal["finished", "time limit", "interrupted"] | None:
-    if step >= config.steps:
+def _end(finished: bool, stopped: bool, out_of_time: bool) -> End | None:
+    if finished:
         return "finished"
     if stopped:
         return "interrupted"
-    if time_limit_min is not None and spent_s >= 60 * time_limit_min:
-        return "time limit"
-    return None
+    return "time limit" if out_of_time else None
+
+
+def _is_turn(step: int, every_steps: int) -> bool:
+    return bool(every_steps) and step % every_steps == 0

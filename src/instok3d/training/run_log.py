@@ -13,51 +13,74 @@ class RunLog:
     """Appends to RUN/metrics.jsonl and prints; a resumed run drops lines after its checkpoint.
 
     Each line of the file is an object with kind ("train" or "validation"), step, elapsed_s and
-    the figures.
+    the figures. No kind has two lines of one step.
+
+    Args:
+        folder: The run; None for a process that is to be silent.
+        total_steps: Updates of the whole run.
+        first_step: Updates done.
+        resumed: Whether the lines up to first_step are of this run; else the file begins anew.
     """
 
-    def __init__(self, folder: Path, *, total_steps: int, first_step: int = 0) -> None:
-        self.path = folder / "metrics.jsonl"
-        self.total_steps = total_steps
-        self._drop_after(first_step)
+    def __init__(
+        self,
+        folder: Path | None,
+        *,
+        total_steps: int,
+        first_step: int = 0,
+        resumed: bool = False,
+    ) -> None:
+        self._path = None if folder is None else folder / "metrics.jsonl"
+        self._total_steps = total_steps
+        self._written: set[tuple[str, int]] = set()
+        if self._path is not None:
+            self._keep_until(self._path, first_step if resumed else -1)
         self._last_step, self._last_time = first_step, time.monotonic()
 
     def train(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
-        """Write a line of training figures and print it with speed and time to the end."""
+        """Write a line of training figures and print it with speed and time to the end.
+
+        The time leaves validation and saving out.
+        """
         now = time.monotonic()
         step_s = (now - self._last_time) / max(1, step - self._last_step)
         self._last_step, self._last_time = step, now
         self._write("train", step, elapsed_s, {**figures, "step_s": step_s})
-        left = format_duration(step_s * (self.total_steps - step))
+        left = format_duration(step_s * (self._total_steps - step))
         self.say(
-            f"step {step}/{self.total_steps}  {format_figures(figures)}  "
+            f"step {step}/{self._total_steps}  {format_figures(figures)}  "
             f"{step_s:.2f} s/step  {left} left"
         )
 
     def validation(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
         """Write and print validation figures."""
         self._write("validation", step, elapsed_s, figures)
-        self.say(f"step {step}/{self.total_steps}  validation  {format_figures(figures)}")
+        self.say(f"step {step}/{self._total_steps}  validation  {format_figures(figures)}")
 
     def say(self, text: str) -> None:
         """One line on the console."""
-        print(text, file=sys.stderr, flush=True)
+        if self._path is not None:
+            print(text, file=sys.stderr, flush=True)
 
     def pause(self, seconds: float) -> None:
         """Leave time that was not spent on steps (validation, saving) out of the speed."""
         self._last_time += seconds
 
     def _write(self, kind: str, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
+        if self._path is None or (kind, step) in self._written:
+            return
+        self._written.add((kind, step))
         line = {"kind": kind, "step": step, "elapsed_s": round(elapsed_s, 1)}
         # JSON has no NaN, which is what a figure is that nothing was there to measure.
         finite = {name: value for name, value in figures.items() if math.isfinite(value)}
         line |= {name: float(f"{value:.6g}") for name, value in finite.items()}
-        with self.path.open("a") as stream:
+        with self._path.open("a") as stream:
             stream.write(json.dumps(line) + "\n")
 
-    def _drop_after(self, step: int) -> None:
-        kept = [line for line in read_metrics(self.path) if line["step"] <= step]
-        with replacing(self.path) as part:
+    def _keep_until(self, path: Path, step: int) -> None:
+        kept = [line for line in read_metrics(path) if line["step"] <= step]
+        self._written = {(line["kind"], line["step"]) for line in kept}
+        with replacing(path) as part:
             part.write_text("".join(json.dumps(line) + "\n" for line in kept))
 
 

@@ -1,0 +1,83 @@
+"""Runs of several processes on this machine, as torchrun starts them, but from one warm server."""
+
+import multiprocessing
+import os
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from fake_rooms import FakeRooms
+from instok3d.training.config import TrainConfig
+from instok3d.training.loop import train
+from instok3d.training.tokenizer_stage import TokenizerStage
+from instok3d.training.update import NonFiniteLossError
+from toy_stage import ToyStage
+
+ROOMS = FakeRooms(6, size=32)
+SERVER = multiprocessing.get_context("forkserver")
+# Only what is installed: the server does not know the folder of the tests.
+SERVER.set_forkserver_preload(["instok3d.training.loop"])
+SECONDS = 120
+"""A process that takes longer hangs; alone on a machine it takes a few."""
+
+
+def run_processes(count: int, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+    """What the function returned in each of `count` processes of one group."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    results = SERVER.SimpleQueue()
+    processes = [
+        SERVER.Process(target=_member, args=(rank, count, port, results, function, arguments))
+        for rank in range(count)
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(SECONDS)
+        if process.exitcode is None:
+            for other in processes:
+                other.kill()
+            raise TimeoutError(f"a process of {function.__name__} hangs")
+        assert process.exitcode == 0
+    return [value for _, value in sorted(results.get() for _ in processes)]
+
+
+def _member(rank, count, port, results, function, arguments) -> None:
+    about = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": count, "MASTER_PORT": port}
+    os.environ.update({name: str(value) for name, value in about.items()})
+    os.environ["MASTER_ADDR"] = "127.0.0.1"
+    torch.set_num_threads(1)
+    results.put((rank, function(*arguments)))
+
+
+def train_toy(config: TrainConfig, folder: Path, dropout: float, resume: bool = False) -> str:
+    return train(config, ToyStage(dropout=dropout), ROOMS, folder, resume=resume).reason
+
+
+def train_tokenizer(config: TrainConfig, folder: Path) -> str:
+    return train(config, TokenizerStage(config.stage), ROOMS, folder).reason
+
+
+def train_toy_with_one_bad_process(config: TrainConfig, folder: Path) -> str:
+    stage = ToyStage(bad_step=2 if os.environ["RANK"] == "1" else None)
+    try:
+        train(config, stage, ROOMS, folder)
+    except NonFiniteLossError as error:
+        return str(error)
+    return "went on"
+
+
+def train_toy_with_one_stopped_process(config: TrainConfig, folder: Path) -> tuple[int, str]:
+    class Stopped(ToyStage):
+        def loss(self, model, sample, step):
+            if step == 2 and os.environ["RANK"] == "1":
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().loss(model, sample, step)
+
+    outcome = train(config, Stopped(), ROOMS, folder)
+    return outcome.step, outcome.reason
