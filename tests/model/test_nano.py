@@ -7,6 +7,7 @@ from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
+from instok3d.model.backbone.pair_cameras import chain_cameras, solve_pairs
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16)
@@ -75,9 +76,12 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
         log_confidences=torch.zeros(1, 2, 32, 32),
         descriptors=descriptors,
         log_focal=torch.zeros(1, 2),
+        quarter=torch.zeros(2, 64, 8, 8),
     )
     intrinsics = torch.tensor([[32.0, 0, 16], [0, 32.0, 16], [0, 0, 1]]).expand(1, 2, 3, 3)
-    cameras = backbone.solve_cameras(raw, torch.ones(1, 2, 32, 32), intrinsics)
+    matches = backbone.find_matches(raw)
+    b_from_a = solve_pairs(matches, torch.ones(1, 2, 32, 32), intrinsics)
+    cameras = chain_cameras(matches, b_from_a, batch=1)
     expected = torch.eye(4)
     expected[0, 3] = -4 / 32
     torch.testing.assert_close(cameras[0, 1], expected, atol=2e-2, rtol=0)

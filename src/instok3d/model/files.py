@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.files import write_safetensors
-from instok3d.model.backbone.registry import BACKBONES, name_of
+from instok3d.model.backbone.registry import BACKBONES, build_backbone, name_of
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.model.weights.cache import MissingWeightsError
 
@@ -20,6 +20,7 @@ FORMAT = "instok3d-model-1"
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
 
 ADDED_LATER: dict[str, dict[str, Any]] = {
+    "NanoConfig": {"refinement_layers": 0},
     "TokenizerConfig": {
         "normalize_scale": True,
         "pad_duplicates": False,
@@ -69,20 +70,24 @@ def load_model(path: Path | str | None = None) -> Tokenizer:
     """
     path = _existing(path)
     metadata, state = _read(path)
-    kind = metadata["backbone"]
-    if kind not in BACKBONES:
-        raise ValueError(
-            f"{path} needs the backbone {kind!r}; this version has {sorted(BACKBONES)}"
-        )
-    backbone_class, backbone_config = BACKBONES[kind]()
-    sizes = _config(backbone_config, json.loads(metadata["backbone_config"]), path)
-    config = _config(TokenizerConfig, json.loads(metadata["tokenizer_config"]), path)
-    model = Tokenizer(backbone_class(sizes), config)
+    sizes, config = _sizes(metadata, path)
+    model = Tokenizer(build_backbone(sizes), config)
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
         raise ValueError(f"the weights in {path} do not fit its own sizes: {error}") from error
     return model.eval()
+
+
+def read_sizes(path: Path | str | None = None) -> tuple[Any, TokenizerConfig]:
+    """Sizes of the backbone and of the tokenizer in a file, without loading it; for `memory`.
+
+    Raises:
+        MissingWeightsError: There is no such file.
+        ValueError: The file is damaged or is not a model of this version.
+    """
+    path = _existing(path)
+    return _sizes(_read_metadata(path), path)
 
 
 def read_card(path: Path | str | None = None) -> dict[str, Any]:
@@ -136,6 +141,16 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
         name: value.to(torch.float32) if value.is_floating_point() else value
         for name, value in state.items()
     }
+
+
+def _sizes(metadata: Mapping[str, str], path: Path) -> tuple[Any, TokenizerConfig]:
+    kind = metadata["backbone"]
+    if kind not in BACKBONES:
+        raise ValueError(
+            f"{path} needs the backbone {kind!r}; this version has {sorted(BACKBONES)}"
+        )
+    backbone = _config(BACKBONES[kind]().config, json.loads(metadata["backbone_config"]), path)
+    return backbone, _config(TokenizerConfig, json.loads(metadata["tokenizer_config"]), path)
 
 
 def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:

@@ -2,7 +2,8 @@
 
 Convolutional stem, alternating frame and global attention as in VGGT (Sec. 3.1 of the paper), a
 depth head, and dense descriptors whose matches give the relative cameras: a camera that is solved
-for from matches is learned far faster than one that is regressed from a token.
+for from matches is learned far faster than one that is regressed from a token. With the cameras
+known, the matches say in turn what the depth should have been.
 """
 
 from dataclasses import dataclass
@@ -17,14 +18,21 @@ from instok3d.geometry.cameras import (
     pixel_centers,
     pixel_rays,
 )
-from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
+from instok3d.geometry.registration import spanning_tree
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, Stem, Unshuffle
+from instok3d.model.backbone.nano_refinement import DepthRefinement, gather_evidence
+from instok3d.model.backbone.pair_cameras import (
+    MATCH_STRIDE,
+    PairMatches,
+    chain_cameras,
+    solve_pairs,
+)
 from instok3d.types import Geometry, Views
 
-MATCH_STRIDE = 4
-"""Pixels between neighbouring descriptors: twice as fine as the patches."""
+QUARTER_CHANNELS = 64
+"""Of the decoder's features at a quarter of the image's size."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class NanoConfig:
     """Channels of an attention head; 32 is twice as slow on a CPU."""
     match_channels: int = 64
     """Channels of a descriptor."""
+    refinement_layers: int = 0
+    """Attention blocks of the refinement of depth by parallax; 0 = none of it."""
     typical_field_of_view_rad: float = 1.05
     """What an image of unknown intrinsics is taken for before the focal head corrects it."""
 
@@ -54,6 +64,16 @@ class RawGeometry:
     """Unit length, one for each MATCH_STRIDE x MATCH_STRIDE cell, row-major."""
     log_focal: Float[Tensor, "batch view"]
     """Logarithm of predicted over typical focal length."""
+    quarter: Float[Tensor, "image quarter_channel row column"]
+    """The decoder's features, one for each cell; all views of all scenes in a row."""
+
+
+@dataclass(frozen=True)
+class RefinedDepth:
+    """Depth and its confidence after the refinement."""
+
+    log_depths: Float[Tensor, "batch view height width"]
+    log_confidences: Float[Tensor, "batch view height width"]
 
 
 class NanoBackbone(GeometryBackbone):
@@ -78,13 +98,18 @@ class NanoBackbone(GeometryBackbone):
         )
         self.norm = nn.LayerNorm(2 * width)
         self.to_coarse_depth = nn.Linear(2 * width, 2)
-        self.to_quarter = Unshuffle(2 * width, 96, 64)
-        self.to_half = Unshuffle(64, 48, 32)
+        self.to_quarter = Unshuffle(2 * width, 96, QUARTER_CHANNELS)
+        self.to_half = Unshuffle(QUARTER_CHANNELS, 48, 32)
         self.to_fine_depth = nn.Conv2d(32, 8, 1)
-        self.to_descriptor = nn.Conv2d(64, config.match_channels, 1)
+        self.to_descriptor = nn.Conv2d(QUARTER_CHANNELS, config.match_channels, 1)
         self.log_sharpness = nn.Parameter(torch.tensor(2.5))
         self.no_match_cosine = nn.Parameter(torch.tensor(0.8))
         self.to_focal = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 1))
+        self.refinement = None
+        if config.refinement_layers:
+            self.refinement = DepthRefinement(
+                width, config.head_width, config.refinement_layers, QUARTER_CHANNELS
+            )
         nn.init.normal_(self.to_coarse_depth.weight, std=0.01)
         nn.init.normal_(self.to_fine_depth.weight, std=0.01)
         for parameter in self.to_focal[2].parameters():
@@ -122,6 +147,7 @@ class NanoBackbone(GeometryBackbone):
             log_confidences=depth[:, 1].clamp(-4, 6).unflatten(0, split),
             descriptors=functional.normalize(descriptors, dim=-1).unflatten(0, split),
             log_focal=self.to_focal(features.mean(1)).float().squeeze(-1).unflatten(0, split),
+            quarter=quarter,
         )
 
     def match(
@@ -148,23 +174,60 @@ class NanoBackbone(GeometryBackbone):
         given, the units are theirs. The solved cameras are not differentiable.
         """
         raw = self.encode(views)
+        all_known = views.depths is not None and bool((views.depths > 0).all())
+        keep_cameras = views.cam_from_world is not None and views.depths is not None
         with torch.autocast(views.images.device.type, enabled=False):
             intrinsics = self.intrinsics(views, raw)
-            depths = raw.log_depths.float().exp()
+            matches = [] if all_known and keep_cameras else self.find_matches(raw)
+        log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
+        if self.refinement is not None and not all_known:
+            refined = self.refine(raw, intrinsics, matches)
+            log_depths, log_confidences = refined.log_depths, refined.log_confidences
+        with torch.autocast(views.images.device.type, enabled=False):
+            depths = log_depths.exp()
             if views.depths is not None:
                 depths = _fill_unknown(views.depths, depths)
-            if views.cam_from_world is not None and views.depths is not None:
+            if views.cam_from_world is not None and keep_cameras:
                 cam_from_world = views.cam_from_world.float()
             else:
-                cam_from_world = self.solve_cameras(raw, depths, intrinsics)
+                b_from_a = solve_pairs(matches, depths, intrinsics)
+                cam_from_world = chain_cameras(matches, b_from_a, batch=len(depths)).to(depths)
         prediction = Prediction(
             features=raw.features,
             depths=depths,
-            confidences=1 + raw.log_confidences.float().exp(),
+            confidences=1 + log_confidences.exp(),
             cam_from_world=cam_from_world,
             intrinsics=intrinsics,
         )
         return settle_geometry(views, prediction)
+
+    def refine(
+        self,
+        raw: RawGeometry,
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        matches: list[PairMatches],
+    ) -> RefinedDepth:
+        """Depth after a look at the parallax of the matches.
+
+        Differentiable in the weights of the refinement alone.
+
+        Raises:
+            ValueError: The backbone has no refinement.
+        """
+        if self.refinement is None:
+            raise ValueError("this backbone has no refinement: its refinement_layers is 0")
+        log_depths = raw.log_depths.detach().float()
+        log_confidences = raw.log_confidences.detach().float()
+        with torch.autocast(log_depths.device.type, enabled=False):
+            depths, intrinsics = log_depths.exp(), intrinsics.detach()
+            b_from_a = solve_pairs(matches, depths, intrinsics)
+            evidence = gather_evidence(matches, b_from_a, depths, intrinsics)
+        deeper, surer = self.refinement(
+            evidence, log_depths, log_confidences, raw.features.detach(), raw.quarter.detach()
+        )
+        return RefinedDepth(
+            (log_depths + deeper).clamp(-4, 4), (log_confidences + surer).clamp(-4, 6)
+        )
 
     def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:
         """The given intrinsics, or predicted ones with the principal point in the middle."""
@@ -179,23 +242,24 @@ class NanoBackbone(GeometryBackbone):
         result[..., 0, 2], result[..., 1, 2] = 0.5 * width, 0.5 * height
         return result
 
-    def solve_cameras(
-        self,
-        raw: RawGeometry,
-        depths: Float[Tensor, "batch view height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
-    ) -> Float[Tensor, "batch view 4 4"]:
-        """cam_from_first of every view: the pairs along the tree of best matches, composed."""
+    @torch.no_grad()
+    def find_matches(self, raw: RawGeometry) -> list[PairMatches]:
+        """Matches along each scene's tree of best matches, parents before children."""
         trees = [spanning_tree(table) for table in self.overlap_scores(raw)]
-        steps: list[dict[tuple[int, int], Tensor]] = [{} for _ in trees]
+        scenes = torch.arange(len(trees), device=raw.descriptors.device)
+        columns = raw.log_depths.shape[-1] // MATCH_STRIDE
+        found = []
         # Every tree has one edge fewer than there are views: the n-th ones of all scenes together.
         for edges in zip(*trees, strict=True):
-            parents, children = torch.tensor(edges, device=depths.device).unbind(-1)
-            solved = register_pair(*self.match_views(raw, depths, intrinsics, parents, children))
-            for scene, edge in enumerate(edges):
-                steps[scene][edge] = solved[scene]
-        scenes = [compose_along_tree(*scene).to(depths) for scene in zip(steps, trees, strict=True)]
-        return torch.stack(scenes)
+            parents, children = torch.tensor(edges, device=scenes.device).unbind(-1)
+            logits, total_a = self.match(
+                raw.descriptors[scenes, parents], raw.descriptors[scenes, children]
+            )
+            total_b = torch.logaddexp(logits.logsumexp(dim=1), self.no_match())
+            peaks_a = find_peaks(logits, total_a, columns)
+            peaks_b = find_peaks(logits.mT, total_b, columns)
+            found.append(PairMatches(parents, children, peaks_a, peaks_b))
+        return found
 
     @torch.no_grad()
     def overlap_scores(self, raw: RawGeometry) -> Float[Tensor, "batch view view"]:
@@ -214,34 +278,6 @@ class NanoBackbone(GeometryBackbone):
                     scores[:, a, b] = seen.mean(-1).cpu()
         return scores
 
-    @torch.no_grad()
-    def match_views(
-        self,
-        raw: RawGeometry,
-        depths: Float[Tensor, "batch view height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
-        views_a: Int[Tensor, " batch"],
-        views_b: Int[Tensor, " batch"],
-    ) -> tuple[Tensor, ...]:
-        """Both directions of the matches of two views, in the order register_pair takes them."""
-        scenes = torch.arange(len(views_a), device=depths.device)
-        points, rays, descriptors = [], [], []
-        for views in (views_a, views_b):
-            fine = depths[scenes, views, None].log()
-            coarse = functional.avg_pool2d(fine, MATCH_STRIDE)[:, 0].exp()
-            directions = _cell_rays(intrinsics[scenes, views], depths.shape[-2:])
-            points.append((directions * coarse[..., None]).flatten(1, 2))
-            rays.append(directions[..., :2].flatten(1, 2))
-            descriptors.append(raw.descriptors[scenes, views])
-        logits, total_a = self.match(descriptors[0], descriptors[1])
-        total_b = torch.logaddexp(logits.logsumexp(dim=1), self.no_match())
-        columns = depths.shape[-1] // MATCH_STRIDE
-        ways = []
-        for here, there, table, total in ((0, 1, logits, total_a), (1, 0, logits.mT, total_b)):
-            peak = find_peaks(table, total, columns)
-            ways += [points[here], peak.mean(rays[there]), peak.mean(points[there]), peak.trust]
-        return tuple(ways)
-
     def _positions(self, views: Views, rows: int, columns: int) -> Tensor:
         """Embedding of where each patch lies in its image and, if known, of its viewing ray."""
         height, width = views.images.shape[-2:]
@@ -257,13 +293,6 @@ class NanoBackbone(GeometryBackbone):
         scaled[:, :2] = scaled[:, :2] / self.patch_size
         rays = pixel_rays(scaled, rows, columns)[..., :2]
         return embedding + self.embed_ray(rays.flatten(1, 2))
-
-
-def _cell_rays(intrinsics: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
-    """Rays through the centres of the descriptor cells, [batch, rows, columns, 3]."""
-    scaled = intrinsics.clone()
-    scaled[:, :2] = scaled[:, :2] / MATCH_STRIDE
-    return pixel_rays(scaled, size[0] // MATCH_STRIDE, size[1] // MATCH_STRIDE)
 
 
 def _fill_unknown(given: Tensor, predicted: Tensor) -> Tensor:

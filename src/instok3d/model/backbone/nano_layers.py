@@ -35,7 +35,8 @@ class SelfAttentionBlock(nn.Module):
         return tokens + self.contract(hidden)
 
 
-def _convolve(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
+def convolve(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
+    """A 3 x 3 convolution with normalisation and GELU."""
     return nn.Sequential(
         nn.Conv2d(channels_in, channels_out, 3, stride, 1),
         nn.GroupNorm(max(1, channels_out // 16), channels_out),
@@ -48,8 +49,8 @@ class Stem(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.stride2 = nn.Sequential(_convolve(3, 32, 2), _convolve(32, 48))
-        self.stride4 = nn.Sequential(_convolve(48, 96, 2), _convolve(96, 96))
+        self.stride2 = nn.Sequential(convolve(3, 32, 2), convolve(32, 48))
+        self.stride4 = nn.Sequential(convolve(48, 96, 2), convolve(96, 96))
         self.stride8 = nn.Conv2d(96, width, 3, 2, 1)
 
     def forward(
@@ -68,7 +69,7 @@ class Unshuffle(nn.Module):
         super().__init__()
         self.up = nn.Conv2d(channels_in, 4 * channels_out, 1)
         self.skip = nn.Conv2d(channels_skip, channels_out, 1)
-        self.mix = _convolve(channels_out, channels_out)
+        self.mix = convolve(channels_out, channels_out)
 
     def forward(
         self,

@@ -1,0 +1,107 @@
+"""Parallax says what depth should have been; the refinement starts as nothing and learns that."""
+
+import pytest
+import torch
+
+from instok3d.geometry.cameras import intrinsics_from_field_of_view
+from instok3d.model.backbone.matching import Peaks
+from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+from instok3d.model.backbone.nano_refinement import gather_evidence, measure_parallax
+from instok3d.model.backbone.pair_cameras import MatchedPoints, PairMatches
+from instok3d.types import Views
+
+TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=1)
+
+
+def one_match(depth: float, ray: tuple[float, float], trust: float = 1.0) -> MatchedPoints:
+    """A cell straight ahead at some depth, seen by the other camera along a ray."""
+    point = torch.tensor([[[0.0, 0.0, depth]]])
+    return MatchedPoints(point, torch.tensor([[ray]]), point, torch.tensor([[trust]]))
+
+
+def stepped_aside(distance: float) -> torch.Tensor:
+    motion = torch.eye(4)[None].clone()
+    motion[0, 0, 3] = -distance
+    return motion
+
+
+def test_parallax_of_one_match_by_hand():
+    # The other camera stands 0.5 to the right. At depth 2 the point is at x/z = -0.25 there, and
+    # d(x/z) / d(log depth) = 0.25. The match lies at -0.20: 0.05 / 0.25 = 0.2 deeper in the log.
+    residual, weight, miss = measure_parallax(one_match(2.0, (-0.2, 0.0), 0.8), stepped_aside(0.5))
+    torch.testing.assert_close(residual, torch.tensor([[0.2]]))
+    torch.testing.assert_close(weight, torch.tensor([[0.8 * 0.25**2]]))
+    torch.testing.assert_close(miss, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
+
+
+def test_what_lies_across_the_parallax_is_a_miss_and_no_depth():
+    residual, _, miss = measure_parallax(one_match(2.0, (-0.25, 0.1)), stepped_aside(0.5))
+    torch.testing.assert_close(residual, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(miss, torch.tensor([[0.1]]))
+
+
+def test_cameras_in_one_place_and_points_behind_say_nothing():
+    _, weight, _ = measure_parallax(one_match(2.0, (0.1, 0.0)), torch.eye(4)[None])
+    assert weight.item() == 0
+    behind = torch.eye(4)[None].clone()
+    behind[0, :3, 3] = torch.tensor([-0.5, 0, -3.0])
+    residual, weight, miss = measure_parallax(one_match(2.0, (0.1, 0.0)), behind)
+    assert weight.item() == 0
+    assert residual.isfinite().all()
+    assert miss.isfinite().all()
+
+
+def same_place(cells: int) -> Peaks:
+    """Every cell matched to the cell of its own number."""
+    number = torch.arange(cells)[None, :, None]
+    return Peaks(number, torch.ones(1, cells, 1), torch.ones(1, cells))
+
+
+def test_evidence_of_three_views_is_a_weighted_mean_and_views_without_pairs_have_none():
+    # Cells matched to their own places in views 0.5 and 1 to the side: the points seem infinitely
+    # far. From depth 2, x/z = -0.25 and -0.5 must rise to 0: 1 in the log each, cut off at 1.
+    depths = torch.full((1, 4, 8, 8), 2.0)
+    intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), 8, 8).expand(1, 4, 3, 3)
+    zero = torch.tensor([0])
+    pairs = [PairMatches(zero, zero + other, same_place(4), same_place(4)) for other in (1, 2)]
+    evidence = gather_evidence(pairs, [stepped_aside(0.5), stepped_aside(1.0)], depths, intrinsics)
+    torch.testing.assert_close(evidence.residuals[0, :3], torch.ones(3, 4))
+    torch.testing.assert_close(evidence.weights[0, 0], torch.full((4,), 0.25**2 + 0.5**2))
+    torch.testing.assert_close(evidence.weights[0, 2], torch.full((4,), 0.5**2))
+    assert evidence.matched[0].tolist() == [[1.0] * 4] * 3 + [[0.0] * 4]
+    assert evidence.weights[0, 3].count_nonzero() == 0
+
+
+@pytest.mark.parametrize("views", [1, 3])
+def test_a_new_refinement_changes_nothing(rng, views):
+    torch.manual_seed(0)
+    backbone = NanoBackbone(TINY).eval()
+    photos = Views(torch.rand(2, views, 3, 32, 48, generator=rng))
+    with torch.no_grad():
+        refined = backbone(photos)
+        backbone.refinement = None
+        plain = backbone(photos)
+    torch.testing.assert_close(refined.depths, plain.depths)
+    torch.testing.assert_close(refined.pointmaps, plain.pointmaps)
+
+
+def test_gradient_reaches_the_refinement_and_nothing_else(rng):
+    torch.manual_seed(0)
+    backbone = NanoBackbone(TINY)
+    assert backbone.refinement is not None
+    torch.nn.init.normal_(backbone.refinement.correct.weight)
+    views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
+    raw = backbone.encode(views)
+    refined = backbone.refine(raw, backbone.intrinsics(views, raw), backbone.find_matches(raw))
+    (refined.log_depths.square().sum() + refined.log_confidences.sum()).backward()
+    moved = {name.split(".")[0] for name, p in backbone.named_parameters() if p.grad is not None}
+    assert moved == {"refinement"}
+    assert all(p.grad is not None for p in backbone.refinement.parameters())
+
+
+def test_refining_without_a_refinement_is_an_error(rng):
+    backbone = NanoBackbone(NanoConfig(width=64, layers=1, match_channels=16))
+    views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
+    raw = backbone.encode(views)
+    with pytest.raises(ValueError, match="refinement_layers is 0"):
+        backbone.refine(raw, backbone.intrinsics(views, raw), [])
