@@ -6,50 +6,17 @@ import pytest
 import torch
 from PIL import Image
 
+from colmap_models import write_colmap
 from instok3d.data.camera_files import CameraSet, PhotoCamera, read_cameras
 from instok3d.geometry.cameras import invert_rigid, rigid
-from instok3d.geometry.rotations import matrix_to_quat, quat_to_matrix
+from instok3d.geometry.rotations import quat_to_matrix
 
-MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4,
-          "OPENCV_FISHEYE": 5}  # fmt: skip
 IDENTITY = torch.eye(4).tolist()
 
 
 def poses(count: int, rng: torch.Generator) -> torch.Tensor:
     quats = torch.randn(count, 4, generator=rng, dtype=torch.float64)
     return rigid(quat_to_matrix(quats), torch.randn(count, 3, generator=rng, dtype=torch.float64))
-
-
-def write_colmap(folder, cameras, images, suffix: str) -> None:
-    """cameras: id -> (model, width, height, parameters); images: (name, cam_from_world, camera)."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for number, (name, matrix, camera) in enumerate(images, start=1):
-        quat, place = matrix_to_quat(matrix[:3, :3]).tolist(), matrix[:3, 3].tolist()
-        rows.append((number, [*quat, *place], camera, name))
-    if suffix == ".txt":
-        lines = ["# Camera list"]
-        lines += [
-            f"{i} {m} {w} {h} {' '.join(map(repr, p))}" for i, (m, w, h, p) in cameras.items()
-        ]
-        (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
-        lines = ["# Image list"]
-        for number, pose, camera, name in rows:
-            points = "1.0 2.0 -1 3.5 4.5 7" if number % 2 else ""
-            lines += [f"{number} {' '.join(map(repr, pose))} {camera} {name}", points]
-        (folder / "images.txt").write_text("\n".join(lines) + "\n")
-        return
-    data = struct.pack("<Q", len(cameras))
-    for number, (model, width, height, parameters) in cameras.items():
-        data += struct.pack("<iiQQ", number, MODELS[model], width, height)
-        data += struct.pack(f"<{len(parameters)}d", *parameters)
-    (folder / "cameras.bin").write_bytes(data)
-    data = struct.pack("<Q", len(images))
-    for number, pose, camera, name in rows:
-        data += struct.pack("<i7di", number, *pose, camera) + name.encode() + b"\0"
-        points = [(1.0, 2.0, -1), (3.5, 4.5, 7)] if number % 2 else []
-        data += struct.pack("<Q", len(points)) + b"".join(struct.pack("<ddq", *p) for p in points)
-    (folder / "images.bin").write_bytes(data)
 
 
 @pytest.mark.parametrize("place", ["", "sparse/0", "sparse"])

@@ -9,7 +9,7 @@ import io
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,12 +76,25 @@ def own_pixel_limit() -> Iterator[None]:
 
 
 def decode_photo(
-    path: Path, *, height: int, width: int, fit: Fit = "crop", max_pixels: int = MAX_PIXELS
+    path: Path,
+    *,
+    height: int,
+    width: int,
+    fit: Fit | Callable[[PixelMap], PixelMap] = "crop",
+    max_pixels: int = MAX_PIXELS,
 ) -> DecodedPhoto:
     """Read one photo, turn it upright, fit it into height x width with antialiasing.
 
     Grey becomes RGB, 16 bits keep their full range, CMYK and wide-gamut profiles are converted
     to sRGB, transparent pixels are laid on white, of an animation the first picture is taken.
+
+    Args:
+        path: The photo.
+        height: Of the result.
+        width: Of the result.
+        fit: Or a function that gives the map from the whole upright photo to the result, given
+            the map from the photo to itself.
+        max_pixels: Photos with more are refused.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -101,14 +114,11 @@ def decode_photo(
         if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
             notes.append(f"{path.name} holds several pictures; only the first one is used")
     turned = orientation >= 5
-    pixel_map = fit_pixels(
-        stored_width if turned else stored_height,
-        stored_height if turned else stored_width,
-        height,
-        width,
-        fit=fit,
-        exif_orientation=orientation,
-    )
+    upright = (stored_width, stored_height) if turned else (stored_height, stored_width)
+    if callable(fit):
+        pixel_map = fit(fit_pixels(*upright, *upright, exif_orientation=orientation))
+    else:
+        pixel_map = fit_pixels(*upright, height, width, fit=fit, exif_orientation=orientation)
     with _naming(path):
         profile = image.info.get("icc_profile")
         pixels = _to_rgb(_resample(image, pixel_map), profile, path, notes)
