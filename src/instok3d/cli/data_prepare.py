@@ -9,6 +9,8 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import Positional, arg, subcommand
 
+from instok3d.data.colmap_scenes import ColmapSource, MipNeRF360Source
+from instok3d.data.footage import FootageSource
 from instok3d.data.preparation import PreparationReport, plan_preparation
 from instok3d.data.preparation import prepare as prepare_scenes
 from instok3d.data.prepared import Fault, refresh_index, scene_folders
@@ -48,9 +50,36 @@ class Re10kArguments(Re10kSource, RunArguments):
     """Folder of the chunks or camera files, or of train/ and test/ with them."""
 
 
+@dataclass(frozen=True)
+class MipNeRF360Arguments(MipNeRF360Source, RunArguments):
+    """MipNeRF360: scenes with sparse/0 and images_4."""
+
+    folder: Positional[Path]  # pyright: ignore[reportGeneralTypeIssues]
+    """Folder of the scenes, or one of them."""
+
+
+@dataclass(frozen=True)
+class ColmapArguments(ColmapSource, RunArguments):
+    """Any scenes with a COLMAP model, binary or text."""
+
+    folder: Positional[Path]  # pyright: ignore[reportGeneralTypeIssues]
+    """One scene, or a folder of scenes."""
+
+
+@dataclass(frozen=True)
+class FootageArguments(FootageSource, RunArguments):
+    """Your own photos of one room, with id maps and cameras where you have them."""
+
+    folder: Positional[Path]  # pyright: ignore[reportGeneralTypeIssues]
+    """Of photos; or a video, or a folder with photos and cameras as scanners leave them."""
+
+
 Arguments = (
     Annotated[ScanNetArguments, subcommand("scannet")]
     | Annotated[Re10kArguments, subcommand("re10k")]
+    | Annotated[MipNeRF360Arguments, subcommand("mipnerf360")]
+    | Annotated[ColmapArguments, subcommand("colmap")]
+    | Annotated[FootageArguments, subcommand("footage")]
 )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar
 
 from instok3d.data import colmap_files
 from instok3d.data.camera_files import read_cameras
@@ -12,7 +12,7 @@ from instok3d.data.image_decoding import own_pixel_limit
 from instok3d.data.image_files import IMAGE_SUFFIXES
 from instok3d.data.posed_photos import PhotoFiles, prepared_photo
 from instok3d.data.preparation import Frames, SceneJob, estimate_bytes
-from instok3d.data.prepared import DroppedFrame, SceneInfo, Split
+from instok3d.data.prepared import Dataset, DroppedFrame, SceneInfo, Split
 
 _MODEL_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "0", ".")
 
@@ -33,7 +33,7 @@ class ColmapSource:
     """Height and width of the prepared frames."""
     split: Split = "train"
     """Which split the scenes belong to."""
-    dataset: Literal["colmap", "mipnerf360"] = "colmap"
+    dataset: ClassVar[Dataset] = "colmap"
 
     def jobs(self) -> Sequence[SceneJob]:
         """All scenes, by name.
@@ -74,8 +74,10 @@ class MipNeRF360Source(ColmapSource):
     """MipNeRF360 (`360_v2`): scenes with sparse/0 and photos reduced 4 times in images_4."""
 
     images: str = "images_4"
+    """Name of the folder of photos in each scene."""
     split: Split = "test"
-    dataset: Literal["colmap", "mipnerf360"] = "mipnerf360"
+    """Which split the scenes belong to."""
+    dataset: ClassVar[Dataset] = "mipnerf360"
 
 
 def colmap_frames(model: Path, photos: Path, size: int) -> Frames:
