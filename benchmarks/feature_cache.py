@@ -86,6 +86,7 @@ def main(options: Options) -> None:
             "cache": Trainer(replace(config.stage, cache=Path(folder))),
         }
         batches = SceneBatches(rooms, training, config.batches, seed=config.seed)
+        sample = batches.batch(0)
         for number in range(options.steps):
             sample = batches.batch(number)
             for trainer in trainers.values():

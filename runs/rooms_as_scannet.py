@@ -18,7 +18,7 @@ import numpy as np
 from instok3d.data.rooms import RoomDataset
 from instok3d.data.rooms.classes import CLASSES, NYU40
 from instok3d.data.rooms.dataset import RoomScene
-from instok3d.data.scannet.id_maps import write_id_maps
+from instok3d.data.scannet.id_maps import Kind, write_id_maps
 from instok3d.data.scannet.labels import TABLE
 from instok3d.data.scannet.sens import RecordedFrame, write_sens
 from instok3d.data.scannet.splits import TEST_POOL
@@ -43,7 +43,10 @@ def write_scan(folder: Path, name: str, room: RoomScene) -> None:
     label_of = np.zeros(int(ids.max()) + 1, dtype=np.int64)
     for each in instances:
         label_of[each["id"]] = RAW_LABELS[each["class"]]
-    for kind, maps in (("instance-filt", ids), ("label-filt", label_of[ids])):
+    archives: list[tuple[Kind, np.ndarray]] = [
+        ("instance-filt", ids), ("label-filt", label_of[ids])
+    ]  # fmt: skip
+    for kind, maps in archives:
         path = scan / f"{name}_2d-{kind}.zip"
         write_id_maps(path, kind, dict(enumerate(maps)))
     groups = [{"id": each["id"] - 1, "label": each["class"], "segments": []} for each in instances]

@@ -46,13 +46,17 @@ def cache(
     config = overlay(preset(arguments.preset), BASE, config)
     source = open_training_scenes(arguments.data)
     with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
+
+        def on_scene(done: int, total: int) -> None:
+            progress.update()
+
         filled = fill_cache(
             config,
             source,
             arguments.output,
             read_weights(arguments.init_from),
             dtype=arguments.feature_type,
-            on_scene=lambda done, total: progress.update(),
+            on_scene=on_scene,
         )
     print(
         json.dumps(

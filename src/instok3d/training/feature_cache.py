@@ -106,7 +106,8 @@ class FeatureCache:
         entries = [self._entry(key, shown, context) for key in sample.keys]
 
         def joined(name: str) -> Tensor:
-            return torch.stack([entry[name] for entry in entries]).to(device).float()
+            # float32 first: autocast on a CPU does not know float16.
+            return torch.stack([entry[name].float() for entry in entries]).to(device)
 
         prediction = Prediction(
             features=joined("features"),
@@ -252,7 +253,7 @@ def weights_sha256(weights: Mapping[str, Tensor]) -> str:
         value = weights[name].detach().cpu()
         value = value.float() if value.is_floating_point() else value
         digest.update(f"{name} {tuple(value.shape)} {value.dtype}\n".encode())
-        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy())
+        digest.update(memoryview(value.contiguous().reshape(-1).view(torch.uint8).numpy()))
     return digest.hexdigest()
 
 
