@@ -199,11 +199,12 @@ def _is_done(info: SceneInfo, folder: Path) -> bool:
     old, new = found["settings"], wanted["settings"]
     old[SPLIT_RULE] = new[SPLIT_RULE] = ""
     if found != wanted:
-        differ = [key for key in wanted if key != "settings" and found[key] != wanted[key]]
-        differ += [f"settings.{k}" for k in sorted(old | new) if old.get(k) != new.get(k)]
+        pairs = {key: (found[key], wanted[key]) for key in wanted if key != "settings"}
+        pairs |= {f"settings.{key}": (old.get(key), new.get(key)) for key in sorted(old | new)}
+        differ = [f"{key} {was!r}, not {now!r}" for key, (was, now) in pairs.items() if was != now]
         raise ValueError(
-            f"{folder} holds the scene {info.name} with another {', '.join(differ)}; prepare into "
-            "another folder, or delete the scene"
+            f"{folder} holds the scene {info.name} with {', '.join(differ)}; prepare into another "
+            "folder, or delete the scene"
         )
     return True
 
