@@ -8,11 +8,14 @@ from pathlib import Path
 
 GSPLAT = "1.5.3"
 """As in pyproject.toml."""
+DEFAULT_VIEWS = 16
+"""What `instok3d reconstruct` takes at most unless told otherwise."""
 EXTRAS = {
     "embreex": "rooms: making training rooms",
     "viser": "view: the viewer",
     "imageio": "video: reading and writing films",
     "pillow_heif": "heic: photos of iPhones",
+    "huggingface_hub": "models: fetching weights from the hub",
 }
 
 
@@ -61,11 +64,30 @@ def _python() -> list[Finding]:
 
 
 def _memory() -> Finding:
-    names = ("SC_AVPHYS_PAGES", "SC_PAGE_SIZE")
-    if not all(name in os.sysconf_names for name in names):
-        return Finding("memory", "cannot be asked on this system; eight photos need 1.5 GB", True)
-    free = os.sysconf(names[0]) * os.sysconf(names[1]) / 1e9
-    return Finding("memory", f"{free:.1f} GB free; eight photos need 1.5 GB", free > 1.5)
+    import torch
+
+    from instok3d.model.available_memory import available_bytes, resident_bytes
+    from instok3d.model.backbone.registry import BACKBONES
+    from instok3d.model.backbone.vggt import PAPER_VGGT
+    from instok3d.model.files import DEFAULT_MODEL, read_sizes
+    from instok3d.model.memory import Work, largest_view_count
+    from instok3d.model.tokenizer import PAPER
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    free = available_bytes(device)
+    if free is None:
+        return Finding("memory", "cannot be asked on this system", True)
+    limit = free + (resident_bytes() if device == "cpu" else 0)
+    room, good = [], True
+    if DEFAULT_MODEL.is_file():
+        own = largest_view_count(*read_sizes(), Work(1, 128, 128), limit)
+        room.append(f"{own} views of 128 x 128 with the default model")
+        good = own >= DEFAULT_VIEWS
+    if "vggt" in BACKBONES:
+        paper = largest_view_count(PAPER_VGGT, PAPER, Work(1, 256, 256), limit)
+        room.append(f"{paper} of 256 x 256 with VGGT-1B and the paper's sizes")
+    state = f"{free / 1e9:.1f} GB free on {device}, room for {' or '.join(room) or 'what it takes'}"
+    return Finding("memory", state, good)
 
 
 def _model() -> Finding:

@@ -80,12 +80,13 @@ def run(
         raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
-    tokenizer = load_model(model)
     distance = None if lpips is None else load_lpips(lpips)
     if protocol in ("rooms-2view", "rooms-8view"):
         total, asked = _rooms(data, protocol, scenes, targets_per_scene)
     else:
         total, asked = _prepared(data, protocol, scenes, index, all_targets, split)
+    asked = _checked(asked, model)
+    tokenizer = load_model(model)
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
     file = DEFAULT_MODEL if model is None else model
@@ -129,6 +130,22 @@ def run(
         print(f"{results_header(report)}\n{rows}")
     else:
         print(as_table(report))
+
+
+def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[ProtocolScene]":
+    """The same scenes, the first of which was looked at: would the model fit in memory?"""
+    from itertools import chain, islice
+
+    from instok3d.model.files import read_sizes
+    from instok3d.model.memory import Work, check_memory
+
+    scenes = iter(asked)
+    first = list(islice(scenes, 1))
+    for scene in first:
+        _, views, _, height, width = scene.samples[0].context.images.shape
+        work = Work(views, height, width)
+        check_memory(*read_sizes(model), work, advice="choose a protocol with fewer")
+    return chain(first, scenes)
 
 
 def _rooms(

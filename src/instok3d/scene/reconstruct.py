@@ -11,7 +11,8 @@ from torch import Tensor
 
 from instok3d import __version__
 from instok3d.data.photos import PhotoSet, read_photos
-from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_card
+from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_card, read_sizes
+from instok3d.model.memory import Work, check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.scene.files import load_scene
 from instok3d.scene.from_tokens import scene_from_tokens
@@ -60,6 +61,7 @@ def reconstruct(
         PermissionError: Something may not be read.
         ValueError: No photo, a damaged one, or cameras that do not fit; says which. Or the
             device or the seed cannot be used.
+        NotEnoughMemoryError: So many views are predicted not to fit; says how many would.
     """
     begin = progress or (lambda stage: None)
     device = _checked_device(device)
@@ -72,6 +74,9 @@ def reconstruct(
     side = int(card.get("image_side", IMAGE_SIDE))
     photo_set = read_photos(photos, height=side, width=side, max_views=max_views, cameras=cameras)
     begin("model")
+    if not in_memory:
+        work = Work(photo_set.views.images.shape[1], side, side)
+        check_memory(*read_sizes(path), work, device=device, advice="give max_views (--max-views)")
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
     tokenizer = tokenizer.to(device).eval()
     views = _to(photo_set.views, device)

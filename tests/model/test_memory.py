@@ -1,0 +1,154 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from instok3d.model import available_memory, memory
+from instok3d.model.backbone.nano import NanoConfig
+from instok3d.model.backbone.registry import BACKBONES, build_backbone
+from instok3d.model.memory import (
+    NotEnoughMemoryError,
+    Work,
+    check_memory,
+    count_parameters,
+    largest_view_count,
+    predict_peak_bytes,
+)
+from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
+from plane_backbone import PlaneConfig
+
+NANO = (NanoConfig(), TokenizerConfig())
+EIGHT = Work(views=8, height=128, width=128)
+
+
+def bytes_for(**changes) -> int:
+    return predict_peak_bytes(*NANO, replace(EIGHT, **changes))
+
+
+def test_parameters_are_counted_without_being_made():
+    model = Tokenizer(build_backbone(NANO[0]), NANO[1])
+    own = sum(parameter.numel() for parameter in model.own_parameters())
+    assert count_parameters(*NANO) == (sum(p.numel() for p in model.parameters()), own)
+
+
+@pytest.mark.parametrize(
+    ("views", "measured"),
+    # Largest resident size of `instok3d reconstruct` on that many photos, one thread, bytes.
+    [(1, 400e6), (2, 405e6), (8, 422e6), (16, 546e6)],
+)
+def test_the_prediction_is_never_below_what_was_measured_and_at_most_a_quarter_above(
+    views: int, measured: float
+):
+    assert measured <= bytes_for(views=views) <= 1.25 * measured
+
+
+def test_more_of_anything_never_takes_less():
+    for training in (False, True):
+        counts = [bytes_for(views=views, training=training) for views in range(1, 40)]
+        assert counts == sorted(counts)
+        assert counts[-1] > counts[0]
+        sizes = [bytes_for(height=side, width=side, training=training) for side in (64, 128, 256)]
+        assert sizes == sorted(sizes)
+        assert bytes_for(batch=4, training=training) > bytes_for(training=training)
+    assert bytes_for(training=True) > bytes_for()
+    frozen, free = (bytes_for(training=True, frozen_backbone=each) for each in (True, False))
+    assert frozen < free
+    assert bytes_for(training=True, cached_geometry=True) < frozen
+    assert bytes_for(training=True, lpips=True) > frozen
+
+
+@pytest.mark.skipif("vggt" not in BACKBONES, reason="VGGT is no backbone of this version")
+def test_paper_sizes_take_gigabytes():
+    from instok3d.model.backbone.vggt import PAPER_VGGT
+
+    work = Work(2, 256, 256)
+    whole, own = count_parameters(PAPER_VGGT, PAPER)
+    assert whole - own == pytest.approx(1_190.6e6, rel=0.01)  # 1,256.5 M less the track head
+    # Twice the weights while they are loaded: more than two views take.
+    assert predict_peak_bytes(PAPER_VGGT, PAPER, work) == pytest.approx(8.4 * whole, rel=0.1)
+    limit = 16_000_000_000
+    few = largest_view_count(PAPER_VGGT, PAPER, work, limit)
+    assert predict_peak_bytes(PAPER_VGGT, PAPER, replace(work, views=few)) <= limit
+    assert predict_peak_bytes(PAPER_VGGT, PAPER, replace(work, views=few + 1)) > limit
+
+
+def test_the_largest_count_is_the_last_that_fits():
+    limit = bytes_for(views=11)
+    assert largest_view_count(*NANO, EIGHT, limit) >= 11
+    assert bytes_for(views=largest_view_count(*NANO, EIGHT, limit)) <= limit
+    assert bytes_for(views=largest_view_count(*NANO, EIGHT, limit) + 1) > limit
+    assert largest_view_count(*NANO, EIGHT, 1000) == 0
+    assert largest_view_count(*NANO, EIGHT, 10**15) == memory.MOST_VIEWS
+
+
+def with_free(monkeypatch: pytest.MonkeyPatch, free: int | None) -> None:
+    monkeypatch.setattr(memory, "available_bytes", lambda device: free)
+    monkeypatch.setattr(memory, "resident_bytes", lambda: 0)
+
+
+def test_too_many_views_are_refused_with_the_count_that_fits(monkeypatch: pytest.MonkeyPatch):
+    with_free(monkeypatch, bytes_for(views=10))
+    with pytest.raises(NotEnoughMemoryError) as caught:
+        check_memory(*NANO, replace(EIGHT, views=100), advice="take fewer")
+    text = str(caught.value)
+    assert text.startswith("100 views of 128 x 128 pixels are predicted to need 1.")
+    fitting = int(text.split("; ")[1].split(" views would fit: take fewer")[0])
+    assert fitting >= 10
+    check_memory(*NANO, replace(EIGHT, views=fitting))
+    with pytest.raises(NotEnoughMemoryError):
+        check_memory(*NANO, replace(EIGHT, views=fitting + 1))
+    with_free(monkeypatch, 1000)
+    with pytest.raises(NotEnoughMemoryError, match="not even one view would fit"):
+        check_memory(*NANO, EIGHT)
+
+
+def test_nothing_is_refused_where_the_system_does_not_say(monkeypatch: pytest.MonkeyPatch):
+    with_free(monkeypatch, None)
+    assert check_memory(*NANO, EIGHT) == bytes_for()
+
+
+def test_what_the_process_has_already_is_not_asked_for_again(monkeypatch: pytest.MonkeyPatch):
+    with_free(monkeypatch, bytes_for() - 1_000_000)
+    monkeypatch.setattr(memory, "resident_bytes", lambda: 1_000_000)
+    check_memory(*NANO, EIGHT)
+
+
+def test_unknown_backbones_are_named():
+    with pytest.raises(ValueError, match="PlaneConfig backbone cannot be predicted"):
+        memory.backbone_activations(PlaneConfig(channels=8), EIGHT)
+
+
+def test_bf16_keeps_narrow_copies_of_the_weights():
+    whole, _ = count_parameters(*NANO)
+    wide, narrow = (bytes_for(views=64, dtype=each) for each in (torch.float32, torch.bfloat16))
+    assert narrow - wide == 2 * whole
+
+
+def test_free_memory_is_the_least_of_machine_and_control_group(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    meminfo = tmp_path / "meminfo"
+    meminfo.write_text("MemTotal: 9 kB\nMemAvailable:    4000 kB\n")
+    monkeypatch.setattr(available_memory, "MEMINFO", meminfo)
+    monkeypatch.setattr(available_memory, "CGROUP", tmp_path)
+    assert available_memory.available_bytes() == 4_096_000
+    (tmp_path / "memory.max").write_text("max\n")
+    (tmp_path / "memory.current").write_text("900000\n")
+    assert available_memory.available_bytes() == 4_096_000
+    (tmp_path / "memory.max").write_text("1000000\n")
+    assert available_memory.available_bytes() == 100_000
+    (tmp_path / "memory.stat").write_text("anon 5\ninactive_file 50000\n")
+    assert available_memory.available_bytes() == 150_000
+    meminfo.write_text("MemAvailable: 100 kB\n")
+    assert available_memory.available_bytes() == 102_400
+    (tmp_path / "memory.max").unlink()
+    (tmp_path / "memory").mkdir()
+    (tmp_path / "memory" / "memory.limit_in_bytes").write_text(str(2**63 - 4096))
+    (tmp_path / "memory" / "memory.usage_in_bytes").write_text("1")
+    assert available_memory.available_bytes() == 102_400
+
+
+def test_this_process_has_memory():
+    assert available_memory.resident_bytes() > 50e6
+    assert available_memory.available_bytes() > 0
