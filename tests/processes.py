@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import torch
 
 from fake_rooms import FakeRooms
+from instok3d.training.checkpoint import has_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.loop import train
 from instok3d.training.tokenizer_stage import TokenizerStage
@@ -81,3 +83,39 @@ def train_toy_with_one_stopped_process(config: TrainConfig, folder: Path) -> tup
 
     outcome = train(config, Stopped(), ROOMS, folder)
     return outcome.step, outcome.reason
+
+
+def train_toy_until_killed(
+    config: TrainConfig, folder: Path, strike: tuple[str, int] | None
+) -> None:
+    """Train from the newest checkpoint, if any; die at the n-th operation of a kind, if asked to.
+
+    write: when half of a file of tensors is written; open and rename: before a file of the run is
+    opened or takes its name.
+    """
+    torch.set_num_threads(1)
+    if strike is not None:
+        _die_at(folder, *strike)
+    train_toy(config, folder, 0.5, resume=has_checkpoint(folder))
+
+
+def _die_at(folder: Path, kind: str, number: int) -> None:
+    left = [number]
+
+    def count() -> bool:
+        left[0] -= 1
+        return left[0] == 0
+
+    def watch(event: str, arguments: tuple) -> None:
+        ours = event in (kind, f"os.{kind}") and str(arguments[0]).startswith(str(folder))
+        if ours and count():
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def torn_save(content: Any, path: Path) -> None:
+        save(content, path)
+        if kind == "write" and count():
+            os.truncate(path, path.stat().st_size // 2)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+    save, torch.save = torch.save, torn_save

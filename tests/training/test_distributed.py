@@ -59,21 +59,21 @@ def run_two(config: TrainConfig, folder: Path) -> None:
         run_processes(2, processes.train_toy, config, folder, 0.0)
 
 
-def assert_nearly_the_same_run(a: Path, b: Path, config: TrainConfig) -> None:
-    """To a hundredth of the way that Adam can have gone (steps x lr).
+def assert_nearly_the_same_run(a: Path, b: Path, steps: int) -> None:
+    """99 of 100 weights to 1e-6, all to 1e-4; five updates move one by up to 5e-3 and more.
 
-    The mean of two halves is rounded otherwise than the mean of the whole, by 1e-7 of the largest
-    gradient; Adam divides by the size of each, so entries with a gradient that small may move
-    otherwise by as much as the rate. In practice all but a few agree to 1e-6.
+    The mean of two halves is rounded otherwise than the mean of the whole. Adam divides each entry
+    of the gradient by its size, so one that would be zero but for the rounding (a bias of all keys
+    of an attention) goes its own way.
     """
     first, second = read_checkpoint(a), read_checkpoint(b)
-    assert first["step"] == second["step"] == config.steps
+    assert first["step"] == second["step"] == steps
     for part in ("model", "average"):
         assert first[part].keys() == second[part].keys()
-        for name, value in first[part].items():
-            difference = (value - second[part][name]).abs()
-            assert difference.max() <= 0.01 * config.steps * config.lr, name
-            assert difference.median() <= 1e-6, name
+        pairs = [(value, second[part][name]) for name, value in first[part].items()]
+        difference = torch.cat([(x - y).abs().flatten().float() for x, y in pairs])
+        assert difference.max() <= 1e-4
+        assert (difference > 1e-6).float().mean() < 0.01
 
 
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
@@ -81,21 +81,21 @@ def assert_nearly_the_same_run(a: Path, b: Path, config: TrainConfig) -> None:
 def test_two_processes_with_half_the_batch_each_make_the_same_weights(config, strategy, tmp_path):
     run(with_batch(config, 4), tmp_path / "one")
     run_two(replace(with_batch(config, 2), strategy=strategy), tmp_path / "two")
-    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", config)
+    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", config.steps)
 
 
 @pytest.mark.parametrize("config", [TOY, TOKENIZER], ids=["toy", "tokenizer"])
 def test_half_the_batch_twice_makes_the_same_weights(config, tmp_path):
     run(with_batch(config, 4), tmp_path / "whole")
     run(replace(with_batch(config, 2), accumulate=2), tmp_path / "halves")
-    assert_nearly_the_same_run(tmp_path / "whole", tmp_path / "halves", config)
+    assert_nearly_the_same_run(tmp_path / "whole", tmp_path / "halves", config.steps)
 
 
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
 def test_processes_that_accumulate_make_the_same_weights(strategy, tmp_path):
     run(with_batch(TOY, 4), tmp_path / "one")
     run_two(replace(with_batch(TOY, 1), accumulate=2, strategy=strategy), tmp_path / "two")
-    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", TOY)
+    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", TOY.steps)
 
 
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
@@ -120,7 +120,7 @@ def test_shards_saved_by_two_processes_go_on_in_one(tmp_path):
     run_two(with_batch(replace(config, steps=2), 2), tmp_path / "two")
     with pytest.warns(UserWarning, match="had 2 processes and now has 1"):
         processes.train_toy(with_batch(config, 4), tmp_path / "two", 0.0, True)
-    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", config)
+    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", config.steps)
     shapes = {name: value.shape for name, value in ToyStage().build_model().state_dict().items()}
     saved = read_checkpoint(tmp_path / "two")["model"]
     assert {name: value.shape for name, value in saved.items()} == shapes
