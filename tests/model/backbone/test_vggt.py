@@ -155,7 +155,7 @@ def test_views_after_the_first_may_come_in_any_order(rng):
 def test_the_first_view_is_another_one_than_the_rest(rng):
     network, images = tiny_vggt(), torch.rand(1, 2, 3, 32, 32, generator=rng)
     plain, swapped = answers(network, images), answers(network, images.flip(1))
-    assert (plain["world_points"] - swapped["world_points"].flip(1)).abs().max() > 1e-3
+    assert (plain["feature_last"] - swapped["feature_last"].flip(1)).abs().max() > 0.1
 
 
 def test_bfloat16_autocast_stays_near_float32_and_the_heads_stay_in_it(rng):
@@ -163,11 +163,15 @@ def test_bfloat16_autocast_stays_near_float32_and_the_heads_stay_in_it(rng):
     plain = answers(network, images)
     with torch.autocast("cpu", torch.bfloat16):
         low = answers(network, images)
-    for name, value in low.items():
-        assert value.dtype == torch.float32
-        assert value.isfinite().all()
-        error = (value - plain[name]).abs().mean() / plain[name].abs().mean()
-        assert error < 0.03, name
+        with torch.no_grad():
+            tokens = network.aggregator(images, layers=range(2))
+            inside = network.points(tokens, (64, 64))
+    with torch.no_grad():
+        outside = network.points(tokens, (64, 64))
+    assert inside[0].equal(outside[0])
+    assert all(value.dtype == torch.float32 and value.isfinite().all() for value in low.values())
+    error = (low["feature_last"] - plain["feature_last"]).abs().mean()
+    assert error < 0.03 * plain["feature_last"].abs().mean()
 
 
 def test_recomputing_blocks_changes_no_gradient(rng):

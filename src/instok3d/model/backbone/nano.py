@@ -9,7 +9,7 @@ known, the matches say in turn what the depth should have been.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 

@@ -113,8 +113,8 @@ class DepthRefinement(nn.Module):
         self.keep = nn.Conv2d(64, 32, 1)
         self.mix = convolve(32, 32)
         self.correct = nn.Conv2d(32, 2, 1)
-        nn.init.zeros_(self.correct.weight)
-        nn.init.zeros_(self.correct.bias)
+        for parameter in self.correct.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(
         self,

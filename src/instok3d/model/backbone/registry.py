@@ -19,7 +19,13 @@ def _nano() -> BackboneKind:
     return BackboneKind(NanoBackbone, NanoConfig)
 
 
-BACKBONES: dict[str, Callable[[], BackboneKind]] = {"nano": _nano}
+def _vggt() -> BackboneKind:
+    from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
+
+    return BackboneKind(VGGTBackbone, VGGTConfig)
+
+
+BACKBONES: dict[str, Callable[[], BackboneKind]] = {"nano": _nano, "vggt": _vggt}
 """A new backbone is one more line here: its name and what imports it."""
 
 

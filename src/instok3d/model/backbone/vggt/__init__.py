@@ -1,6 +1,15 @@
 """VGGT, written anew so that the published weights load and give the published numbers."""
 
+from instok3d.model.backbone.vggt.backbone import VGGTBackbone
 from instok3d.model.backbone.vggt.config import PAPER_VGGT, VGGTConfig
 from instok3d.model.backbone.vggt.network import VGGT, VGGTOutput
+from instok3d.model.backbone.vggt.weights import load_vggt_weights
 
-__all__ = ["PAPER_VGGT", "VGGT", "VGGTConfig", "VGGTOutput"]
+__all__ = [
+    "PAPER_VGGT",
+    "VGGT",
+    "VGGTBackbone",
+    "VGGTConfig",
+    "VGGTOutput",
+    "load_vggt_weights",
+]

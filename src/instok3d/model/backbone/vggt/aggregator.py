@@ -33,9 +33,7 @@ class Aggregator(nn.Module):
             torch.randn(1, 2, config.num_register_tokens, width) * 1e-6
         )
         if config.intrinsics_token:
-            self.embed_intrinsics = nn.Linear(9, width)
-            nn.init.kaiming_normal_(self.embed_intrinsics.weight, nonlinearity="relu")
-            nn.init.zeros_(self.embed_intrinsics.bias)
+            self.embed_intrinsics = new_intrinsics_layer(width)
         self.frame_blocks = self._blocks()
         self.global_blocks = self._blocks()
 
@@ -127,6 +125,14 @@ class Aggregator(nn.Module):
             torch.cat(positions).to(like.device), self.config.embed_dim // self.config.num_heads
         )
         return table, RotaryTable(*(each.repeat(views, 1, 1, 1) for each in table))
+
+
+def new_intrinsics_layer(width: int) -> nn.Linear:
+    """The linear layer on the intrinsics (Sec. 4): Kaiming-normal, no bias to begin with."""
+    layer = nn.Linear(9, width)
+    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+    nn.init.zeros_(layer.bias)
+    return layer
 
 
 def relative_intrinsics(

@@ -1,0 +1,59 @@
+"""Reading the published weights of VGGT."""
+
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from instok3d.model.backbone.vggt.aggregator import new_intrinsics_layer
+from instok3d.model.backbone.vggt.backbone import VGGTBackbone
+from instok3d.model.backbone.vggt.config import VGGTConfig
+from instok3d.model.backbone.vggt.conversion import KERNEL, POSITIONS, resize_patches
+
+NOT_READ = "track_head."
+"""The published file tracks pixels, too; nothing here does."""
+
+
+def load_vggt_weights(path: Path, config: VGGTConfig | None = None) -> VGGTBackbone:
+    """A backbone with the published weights, in float32, in eval mode on the CPU.
+
+    Every tensor of the file is read and must fit, except for the track head's, and the file must
+    hold every tensor of the network, except for the intrinsics layer's, which starts anew (Kaiming,
+    zero bias). Patches of another size than the file's are resized (`resize_patches`).
+
+    Args:
+        path: A safetensors file with the names of the public VGGT-1B.
+        config: Sizes; the public model's for None, PAPER_VGGT for the paper's.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or holds other tensors than VGGT's of these sizes.
+    """
+    config = VGGTConfig() if config is None else config
+    state = _read(path)
+    if KERNEL not in state or POSITIONS not in state:
+        raise ValueError(f"{path} is no VGGT: it has no {KERNEL} or no {POSITIONS}")
+    state = resize_patches(state, img_size=config.img_size, patch_size=config.patch_size)
+    if config.intrinsics_token:
+        layer = new_intrinsics_layer(config.embed_dim)
+        for name, value in layer.state_dict().items():
+            state.setdefault(f"aggregator.embed_intrinsics.{name}", value)
+    with torch.device("meta"):  # no memory and no time for weights that are replaced
+        backbone = VGGTBackbone(config)
+    try:
+        backbone.vggt.load_state_dict(state, strict=True, assign=True)
+    except RuntimeError as error:
+        raise ValueError(f"{path} does not hold VGGT's tensors of these sizes: {error}") from error
+    return backbone.eval()
+
+
+def _read(path: Path) -> dict[str, Tensor]:
+    if not path.is_file():
+        raise FileNotFoundError(f"no weights {path}; give the safetensors file of VGGT-1B")
+    try:
+        with safe_open(path, framework="pt") as stream:
+            names = [name for name in stream.keys() if not name.startswith(NOT_READ)]  # noqa: SIM118
+            return {name: stream.get_tensor(name).float() for name in names}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
