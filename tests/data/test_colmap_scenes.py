@@ -1,3 +1,4 @@
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,9 @@ def test_frames_come_in_the_order_of_image_ids_with_their_cameras(tmp_path, suff
     write_scene(tmp_path / "in/room", names, suffix=suffix)
     write_scene(tmp_path / "in/hall", ["a.png"], suffix=suffix)
     (tmp_path / "in/readme.txt").write_text("two scenes")
-    report = prepared(ColmapSource(tmp_path / "in", size=32), tmp_path / "out")
+    source = ColmapSource(tmp_path / "in", size=32)
+    assert [len(list(job.frames())) for job in pickle.loads(pickle.dumps(source.jobs()))] == [1, 3]
+    report = prepared(source, tmp_path / "out")
     assert (report.scenes, report.frames, report.failed) == (2, 4, {})
     assert not list(verify(tmp_path / "out"))
     scene = read_scene(tmp_path / "out/room")

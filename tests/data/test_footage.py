@@ -1,4 +1,5 @@
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,8 @@ def test_photos_with_ids_and_cameras_can_be_trained_on(tmp_path):
     photos, masks = write_photos(tmp_path / "kitchen", 3), write_ids(tmp_path / "masks", 3)
     cameras = write_transforms(tmp_path / "transforms.json", 3)
     source = FootageSource(photos, masks, cameras, name="flat", size=16, split="val")
+    (job,) = pickle.loads(pickle.dumps(source.jobs()))  # as it goes to another process
+    assert len(list(job.frames())) == 3
     assert prepared(source, tmp_path / "out").failed == {}
     frames = PreparedScenes(tmp_path / "out", splits=("val",)).frames(0, [0, 2])
     assert frames.name == "flat"

@@ -1,6 +1,7 @@
 import io
 import json
 import math
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,12 @@ def test_chunks_become_scenes_with_cameras_that_see_the_same_points(tmp_path):
     image = np.asarray(Image.open(tmp_path / "out/a1/images/000001.png").convert("L")).astype(float)
     rows, columns = np.nonzero(image > 125)
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x, y), abs=0.3)
+
+
+def test_jobs_can_be_sent_to_other_processes(tmp_path):
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1", 2)]})
+    (job,) = pickle.loads(pickle.dumps(Re10kSource(tmp_path / "in").jobs()))
+    assert len(list(job.frames())) == 2
 
 
 def test_camera_files_with_frames_give_the_same_scene_as_a_chunk(tmp_path):
