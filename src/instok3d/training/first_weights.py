@@ -7,7 +7,9 @@ from torch import Tensor
 
 from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.backbone.nano import NanoConfig
-from instok3d.model.backbone.vggt import VGGTConfig
+from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
+from instok3d.model.backbone.vggt.conversion import KERNEL, resize_patches
+from instok3d.model.backbone.vggt.weights import NOT_READ
 from instok3d.model.weights import weights_path
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.training.feature_cache import of_backbone
@@ -19,10 +21,22 @@ BackboneConfig = NanoConfig | VGGTConfig
 def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> None:
     """Fill a backbone from a run of any stage, from its own weights, or from published ones.
 
+    VGGT's published weights have patches of 14 pixels and no layer for intrinsics: patches are
+    resized to the backbone's, and the layer keeps its random start.
+
     Raises:
         RuntimeError: They do not fit.
     """
-    backbone.load_state_dict(of_backbone(weights))
+    inner = of_backbone(weights)
+    if not (isinstance(backbone, VGGTBackbone) and KERNEL in inner):
+        backbone.load_state_dict(inner)
+        return
+    config = backbone.config
+    kept = {name: value for name, value in inner.items() if not name.startswith(NOT_READ)}
+    published = resize_patches(kept, img_size=config.img_size, patch_size=config.patch_size)
+    own = backbone.vggt.state_dict()
+    fresh = {name: value for name, value in own.items() if ".embed_intrinsics." in name}
+    backbone.vggt.load_state_dict({**fresh, **published})
 
 
 def lpips_network(weight: float, file: Path | None, name: str) -> Lpips | None:
