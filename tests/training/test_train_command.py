@@ -1,6 +1,8 @@
 import json
 
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from fake_rooms import FakeRooms
 from instok3d.cli import main
@@ -14,21 +16,11 @@ SMALL = [
 
 
 @pytest.fixture(autouse=True)
-def asked_seeds(monkeypatch) -> list[range]:
-    asked = []
-
-    def rooms(folder, seeds):
-        asked.append(seeds)
-        return FakeRooms(3, size=32)
-
-    monkeypatch.setattr("instok3d.cli.train.RoomDataset", rooms)
-    return asked
-
-
-def test_validation_and_test_rooms_are_never_trained_on(tmp_path, asked_seeds):
-    run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path)]
-    assert main([*run, "--steps", "1", *SMALL]) == 0
-    assert asked_seeds == [range(1_000_000)]
+def rooms(monkeypatch):
+    monkeypatch.setattr(
+        "instok3d.cli.train.open_training_scenes",
+        lambda folder, masks=None: FakeRooms(3, size=32),
+    )
 
 
 def test_geometry_run_and_its_continuation(tmp_path, capsys):
@@ -61,3 +53,42 @@ def test_unknown_setting_is_refused(tmp_path, capsys):
     run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path)]
     assert main([*run, "--learning-rate", "1"]) == 2
     assert "learning-rate" in capsys.readouterr().err
+
+
+def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path / "home"))
+    assert main(["train", "nano-tokenizer", "--data", "rooms", "--dry-run", "--holdout", "1"]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert lines["stage"] == "tokenizer"
+    assert lines["scenes"] == "2 to train on with 32 frames, 1 held out"
+    assert lines["steps"].startswith("20000 updates, ")
+    assert lines["frozen"].endswith("M parameters: backbone 7.01 M")
+    assert "give the run that made it with --init-from" in lines["missing"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_without_a_folder_is_refused(tmp_path, capsys):
+    assert main(["train", "nano-geometry", "--data", "rooms", *SMALL]) == 2
+    assert "give -o RUN, or --dry-run" in capsys.readouterr().err
+
+
+def test_an_adapt_run_starts_a_tokenizer_run_and_exports_its_backbone(tmp_path, capsys):
+    tiny = [*SMALL, "--steps", "1", "--stage.head.width", "8", "--stage.weights", "None"]
+    run = ["train", "nano-adapt", "--data", "rooms", "-o", str(tmp_path / "adapt"), *tiny]
+    assert main(run) == 2
+    assert "an adapt run needs --init-from RUN" in capsys.readouterr().err
+    geometry = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path / "geometry")]
+    assert main([*geometry, *SMALL, "--steps", "1"]) == 0
+    assert main([*run, "--init-from", str(tmp_path / "geometry")]) == 0
+    file = tmp_path / "backbone.safetensors"
+    assert main(["train", "export", str(tmp_path / "adapt"), "-o", str(file), "--float32"]) == 0
+    kept = {**(found := read_checkpoint(tmp_path / "adapt"))["model"], **found["average"]}
+    exported = load_file(file)
+    assert exported.keys() == {
+        name.removeprefix("backbone.") for name in kept if name.startswith("backbone.")
+    }
+    assert all(torch.equal(exported[name], kept[f"backbone.{name}"]) for name in exported)
+    tokenizer = ["train", "nano-tokenizer", "--data", "rooms", "-o", str(tmp_path / "tokenizer")]
+    tiny = ["--steps", "1", "--stage.tokenizer.width", "64", "--stage.tokenizer.num-anchors", "8"]
+    assert main([*tokenizer, *SMALL, *tiny, "--init-from", str(file)]) == 0

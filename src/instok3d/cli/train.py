@@ -1,21 +1,29 @@
-"""`instok3d train`: the training stages on rooms, and the export of what they made."""
+"""`instok3d train`: the training stages, and the export of what they made."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import torch
 from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.cli.train_cache import cache
 from instok3d.data.opening import open_training_scenes
+from instok3d.data.scenes import SceneSource
+from instok3d.model.weights import weights_path
+from instok3d.training.adapt_stage import AdaptStage, AdaptStageConfig
 from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
+from instok3d.training.estimate import check_memory
 from instok3d.training.export import export_model
 from instok3d.training.feature_settings import check_cache
 from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
 from instok3d.training.loop import train
+from instok3d.training.plan import make_plan, plan_text
+from instok3d.training.scene_check import check_scenes
+from instok3d.training.stages import Stage
 from instok3d.training.tokenizer_stage import TokenizerStage
 
 
@@ -26,8 +34,11 @@ class RunArguments:
     data: Path
     """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
     those of the training split are used."""
-    output: Annotated[Path, arg(aliases=["-o"])]
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
+    masks: str | None = None
+    """Learn from the masks that this model made (instok3d data masks), such as sam2, instead of
+    the true instance ids; to be given again on resuming."""
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
     them, except that one which is the preset's own cannot be told from one not given."""
@@ -35,9 +46,18 @@ class RunArguments:
     """On resuming, also train on the scenes that the folder has gained since the run began."""
     init_from: Path | None = None
     """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
-    run that trained its backbone, or a tokenizer run; or else --stage.cache."""
+    run that trained its backbone, or a tokenizer run; or else --stage.cache. An adapt run of VGGT
+    begins with the published weights without it."""
     time_limit_min: float | None = None
     """Save and stop after so many minutes; go on later with --resume."""
+    dry_run: bool = False
+    """Print what the run would do and take (samples, steps, time, memory, disk, what is frozen,
+    what is missing); train nothing, write nothing."""
+    gpus: int | None = None
+    """For the plan alone: processes, one for each GPU; None = as torchrun says, or 4 as in the
+    paper, or 1 on a CPU."""
+    gpu: Literal["a6000", "rtx4090", "a100", "l40s", "h100", "h200"] = "a6000"
+    """For the plan alone: of which kind."""
 
 
 def _command(name: str) -> Callable[..., None]:
@@ -47,7 +67,9 @@ def _command(name: str) -> Callable[..., None]:
         arguments: Annotated[RunArguments, arg(name="")],
         config: Annotated[AvoidSubcommands[TrainConfig], arg(name="")] = default,
     ) -> None:
-        if arguments.resume:
+        if arguments.output is None and not arguments.dry_run:
+            raise ValueError("a run needs a folder: give -o RUN, or --dry-run to see the plan")
+        if arguments.resume and arguments.output is not None:
             begun = read_config(arguments.output)
             if type(begun.stage) is not type(default.stage):
                 raise ValueError(
@@ -55,28 +77,46 @@ def _command(name: str) -> Callable[..., None]:
                     "command that began it"
                 )
             config = overlay(begun, default, config)
-        run_training(arguments, config)
+        source = open_training_scenes(arguments.data, masks=arguments.masks)
+        if arguments.dry_run:
+            show_plan(arguments, config, source)
+        else:
+            run_training(arguments, config, source)
 
     run.__doc__ = f"Train with the preset {name}; every setting can be changed."
     return run
 
 
-def run_training(arguments: RunArguments, config: TrainConfig) -> None:
+def show_plan(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
+    """Print what the run would do."""
+    paper = 1 if config.device == "cpu" else 4
+    plan = make_plan(
+        config,
+        source,
+        num_gpus=arguments.gpus or int(os.environ.get("WORLD_SIZE", paper)),
+        gpu=arguments.gpu,
+        init_from=arguments.init_from,
+        resume=arguments.resume,
+    )
+    print(plan_text(plan, gpu=arguments.gpu))
+
+
+def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
     """Train; one JSON object on stdout says how it ended.
 
     Raises:
-        ValueError: A new tokenizer run has no backbone to start from.
+        ValueError: A new run has no backbone to start from, or the scenes lack what it needs.
+        MissingWeightsError: Published weights that it needs are not on this machine.
+        NotEnoughMemoryError: A step is predicted not to fit; says which batch size would.
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
-    source = open_training_scenes(arguments.data)
-    if isinstance(config.stage, GeometryStageConfig):
-        stage = GeometryStage(config.stage)
-    else:
-        stage = TokenizerStage(config.stage)
-        if stage.cache:
-            check_cache(stage.cache, config, source)
-        elif not (arguments.resume or arguments.init_from):
-            raise ValueError("a tokenizer run needs --init-from RUN with a trained backbone")
+    assert arguments.output is not None
+    check_memory(config, *check_scenes(config, source))
+    stage, init_from = _stage_of(config), arguments.init_from
+    if isinstance(stage, TokenizerStage) and stage.cache:
+        check_cache(stage.cache, config, source)
+    elif not (arguments.resume or init_from):
+        init_from = _first_weights(config)
     outcome = train(
         config,
         stage,
@@ -84,12 +124,32 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         arguments.output,
         resume=arguments.resume,
         add_scenes=arguments.add_scenes,
-        init_from=arguments.init_from,
+        init_from=init_from,
         time_limit_min=arguments.time_limit_min,
     )
-    print(json.dumps({"step": outcome.step, "ended": outcome.reason}))
+    if os.environ.get("RANK", "0") == "0":  # torchrun's processes share one stdout
+        print(json.dumps({"step": outcome.step, "ended": outcome.reason}))
     if outcome.reason == "interrupted":
         raise KeyboardInterrupt
+
+
+def _stage_of(config: TrainConfig) -> Stage:
+    if isinstance(config.stage, GeometryStageConfig):
+        return GeometryStage(config.stage)
+    if isinstance(config.stage, AdaptStageConfig):
+        return AdaptStage(config.stage)
+    return TokenizerStage(config.stage)
+
+
+def _first_weights(config: TrainConfig) -> Path | None:
+    """Where a new run begins that was not told; None: with random weights."""
+    stage = config.stage
+    if isinstance(stage, AdaptStageConfig) and stage.weights:
+        return weights_path(stage.weights)
+    if isinstance(stage, GeometryStageConfig):
+        return None
+    kind = "an adapt" if isinstance(stage, AdaptStageConfig) else "a tokenizer"
+    raise ValueError(f"{kind} run needs --init-from RUN with a trained backbone")
 
 
 def export(
@@ -99,7 +159,10 @@ def export(
     float32: bool = False,
     notes: str = "",
 ) -> None:
-    """Write a tokenizer run's averaged weights as one file for `reconstruct --model`.
+    """Write a run's averaged weights as one file.
+
+    A tokenizer run gives a model for `reconstruct --model`; an adapt run its backbone, without
+    the head, for `--init-from`.
 
     Args:
         run: Folder of the run; it may still be going on.
