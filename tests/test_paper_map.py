@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from instok3d.training.config import PRESETS
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper_map.md"
 CODE, TESTS = ROOT / "src" / "instok3d", ROOT / "tests"
@@ -65,6 +67,16 @@ def test_every_row_names_code_and_a_test_or_says_that_there_is_none():
 def test_every_equation_of_the_paper_has_a_row():
     named = " ".join(row[0] for row in rows(PAGE.read_text()))
     assert set(re.findall(r"Eq\. (\d)", named)) == set("12345678")
+
+
+def test_every_table_of_the_paper_has_a_row():
+    named = " ".join(row[0] for row in rows(PAGE.read_text()))
+    assert set(re.findall(r"Tab\. (\d)", named)) == set("123456")
+
+
+def test_presets_and_page_name_the_same_runs():
+    text = PAGE.read_text()
+    assert all(f"`{name}`" in text for name in PRESETS if name.startswith(("scannet", "re10k")))
 
 
 @pytest.mark.parametrize(

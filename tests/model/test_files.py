@@ -7,6 +7,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from instok3d.model import files
+from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.registry import BACKBONES, BackboneKind
 from instok3d.model.files import (
     MissingWeightsError,
@@ -141,7 +142,6 @@ def test_a_file_from_before_a_size_was_there_means_what_it_was_made_with(model, 
 
 
 def test_what_older_files_mean_is_said_of_sizes_that_there_are():
-    for kind in (TokenizerConfig, GaussianHeadConfig):
-        known = {field.name for field in fields(kind)}
-        assert set(files.ADDED_LATER.get(kind.__name__, {})) <= known
-    assert set(files.ADDED_LATER) <= {"TokenizerConfig", "GaussianHeadConfig"}
+    kinds = {kind.__name__: kind for kind in (TokenizerConfig, GaussianHeadConfig, NanoConfig)}
+    for name, sizes in files.ADDED_LATER.items():
+        assert set(sizes) <= {field.name for field in fields(kinds[name])}

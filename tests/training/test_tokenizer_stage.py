@@ -6,10 +6,11 @@ import torch
 
 from fake_rooms import FakeRooms
 from instok3d.data.batches import BatchConfig, SceneBatches
-from instok3d.data.sample import Sample
+from instok3d.data.sample import Sample, photos_only
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
+from instok3d.training.alignment import cameras_of_targets
 from instok3d.training.tokenizer_stage import (
     TokenizerStage,
     TokenizerStageConfig,
@@ -124,3 +125,33 @@ def test_groups_used_leaves_out_the_void_and_losers(model, sample):
     assert groups_used(replace(groups, assignment=torch.stack(both))) == [1, 2]
     void = to_void.expand(2, 8, 5)
     assert groups_used(replace(groups, assignment=void)) == [0, 0]
+
+
+def test_true_target_cameras_are_rendered_as_they_are(model, sample):
+    """A shift of the true target must show in the loss; aligned ones follow the prediction."""
+    stage = TokenizerStage(replace(TINY, given_probability=0.0, target_cameras="true"))
+    assert stage.modes == ("predicted",)
+    geometry = model.backbone(photos_only(sample.context))
+    cameras = cameras_of_targets("true", geometry, sample, "baselines")
+    assert torch.equal(cameras.cam_from_world, sample.target.cam_from_world)
+    assert torch.equal(cameras.intrinsics, sample.target.intrinsics)
+    aligned = cameras_of_targets("aligned", geometry, sample, "baselines")
+    assert not torch.allclose(aligned.cam_from_world, cameras.cam_from_world)
+    with torch.no_grad():
+        figures = stage.validate(model.eval(), [sample])
+    assert all(name.startswith("predicted_") for name in figures)
+
+
+def test_pictures_show_what_was_trained(model, sample):
+    both, one = TokenizerStage(TINY), TokenizerStage(replace(TINY, given_probability=0.0))
+    with torch.no_grad():
+        sheets = [stage.pictures(model.eval(), sample) for stage in (both, one)]
+    assert sheets[0].size[0] / 8 == pytest.approx(sheets[1].size[0] / 6, rel=0.1)
+
+
+def test_weights_of_the_grouping_terms_are_the_configs(model, sample):
+    stage = TokenizerStage(
+        replace(TINY, given_probability=1.0, seg_weight=0.5, bce_weight=2.0, dice_weight=5.0)
+    )
+    terms = stage.loss(model, sample, 5).terms
+    torch.testing.assert_close(terms["seg_given"], 2 * terms["bce"] + 5 * terms["dice"])
