@@ -253,7 +253,7 @@ def weights_sha256(weights: Mapping[str, Tensor]) -> str:
         value = weights[name].detach().cpu()
         value = value.float() if value.is_floating_point() else value
         digest.update(f"{name} {tuple(value.shape)} {value.dtype}\n".encode())
-        digest.update(memoryview(value.contiguous().reshape(-1).view(torch.uint8).numpy()))
+        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
 
 

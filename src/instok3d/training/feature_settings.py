@@ -65,7 +65,7 @@ def scene_sha256(source: SceneSource, number: int) -> str:
     scene = source.frames(number, [0])
     digest = hashlib.sha256(f"{source.num_frames(number)} {tuple(scene.images.shape)}".encode())
     for value in (scene.images, scene.intrinsics.float(), scene.world_from_cam.float()):
-        digest.update(memoryview(value.contiguous().numpy()))
+        digest.update(value.contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
