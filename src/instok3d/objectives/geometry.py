@@ -13,8 +13,8 @@ from instok3d.types import Cameras, Views
 
 
 @dataclass(frozen=True)
-class GeometryLoss:
-    """The weighted sum and its parts, each a mean over what it concerns."""
+class DepthLoss:
+    """The weighted sum and its parts, each a mean over the pixels of known depth."""
 
     total: Float[Tensor, ""]
     depth: Float[Tensor, ""]
@@ -23,9 +23,35 @@ class GeometryLoss:
     """Absolute logarithm of that scale, for scenes normalised to mean depth 1."""
     gradient: Float[Tensor, ""]
     confidence: Float[Tensor, ""]
+
+
+@dataclass(frozen=True)
+class GeometryLoss(DepthLoss):
+    """The weighted sum and its parts, each a mean over what it concerns."""
+
     match: Float[Tensor, ""]
     """Negative log-likelihood of the true matches, and of no match where there is none."""
     focal: Float[Tensor, ""]
+
+
+def depth_loss(
+    log_depths: Float[Tensor, "batch view height width"],
+    log_confidences: Float[Tensor, "batch view height width"],
+    true_depths: Float[Tensor, "batch view height width"],
+) -> DepthLoss:
+    """Compare predicted log depth with true depth, where that is known (> 0)."""
+    known = true_depths > 0
+    mean_depth = _masked_mean(true_depths, known).clamp_min(1e-6)[:, None, None, None]
+    log_true = torch.where(known, true_depths / mean_depth, 1.0).log()
+    unscaled = log_depths.float() - log_true
+    error = unscaled - _median_where(unscaled.detach(), known)[:, None, None, None]
+    depth = _mean_where(error.abs(), known)
+    scale = _mean_where(unscaled, known).abs()
+    spread = error.abs().detach() * log_confidences.exp() - log_confidences
+    confidence = _mean_where(spread, known)
+    gradient = _gradient_loss(error, known)
+    total = depth + 0.1 * scale + 0.5 * gradient + 0.05 * confidence
+    return DepthLoss(total, depth, scale, gradient, confidence)
 
 
 def geometry_loss(backbone: NanoBackbone, raw: RawGeometry, true: Views) -> GeometryLoss:
@@ -41,22 +67,15 @@ def geometry_loss(backbone: NanoBackbone, raw: RawGeometry, true: Views) -> Geom
     """
     if true.depths is None or true.cam_from_world is None or true.intrinsics is None:
         raise ValueError("geometry_loss needs depths, cam_from_world and intrinsics of the views")
-    known = true.depths > 0
-    mean_depth = _masked_mean(true.depths, known).clamp_min(1e-6)[:, None, None, None]
-    log_true = torch.where(known, true.depths / mean_depth, 1.0).log()
-    unscaled = raw.log_depths.float() - log_true
-    error = unscaled - _median_where(unscaled.detach(), known)[:, None, None, None]
-    depth = _mean_where(error.abs(), known)
-    scale = _mean_where(unscaled, known).abs()
-    spread = error.abs().detach() * raw.log_confidences.exp() - raw.log_confidences
-    confidence = _mean_where(spread, known)
+    depth = depth_loss(raw.log_depths, raw.log_confidences, true.depths)
     match = _match_loss(backbone, raw, true, Cameras(true.cam_from_world, true.intrinsics))
-    gradient = _gradient_loss(error, known)
     width = max(true.images.shape[-2:])
     typical = 0.5 * width / torch.tan(torch.tensor(0.5 * backbone.config.typical_field_of_view_rad))
     focal = (raw.log_focal - (true.intrinsics[..., 0, 0] / typical).log()).abs().mean()
-    total = depth + 0.1 * scale + 0.5 * gradient + 0.05 * confidence + 0.1 * match + 0.3 * focal
-    return GeometryLoss(total, depth, scale, gradient, confidence, match, focal)
+    total = depth.total + 0.1 * match + 0.3 * focal
+    return GeometryLoss(
+        total, depth.depth, depth.scale, depth.gradient, depth.confidence, match, focal
+    )
 
 
 def _median_where(values: Tensor, mask: Tensor) -> Float[Tensor, " batch"]:

@@ -9,6 +9,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from instok3d.data.batches import BatchConfig
 from instok3d.files import write_json
+from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.vggt import PAPER_VGGT
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
@@ -188,6 +189,15 @@ PRESETS = {
         lr=6e-4,
         warmup_steps=200,
         clip_norm=1.0,
+    ),
+    "nano-refinement": TrainConfig(
+        stage=GeometryStageConfig(backbone=NanoConfig(refinement_layers=2), trained="refinement"),
+        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 4, 8), num_targets=1),
+        steps=1_500,
+        lr=6e-4,
+        warmup_steps=100,
+        clip_norm=1.0,
+        ema_decay=0.995,
     ),
     "nano-tokenizer": TrainConfig(
         stage=TokenizerStageConfig(),

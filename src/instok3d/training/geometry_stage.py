@@ -1,7 +1,11 @@
-"""Stage "geometry": the nano backbone learns depth, matches and focal length from rooms."""
+"""Stage "geometry": the nano backbone learns depth, matches and focal length from rooms.
+
+First the network, then, on the matches of the finished network, the refinement of its depth.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from typing import Literal
 
 import numpy as np
 import torch
@@ -11,7 +15,7 @@ from torch import Tensor, nn
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
-from instok3d.objectives.geometry import GeometryLoss, geometry_loss
+from instok3d.objectives.geometry import DepthLoss, depth_loss, geometry_loss
 from instok3d.training.pictures import color_picture, contact_sheet, depth_picture
 from instok3d.training.stages import StepLoss
 from instok3d.types import Views
@@ -24,34 +28,58 @@ class GeometryStageConfig:
     backbone: NanoConfig = field(default_factory=NanoConfig)
     intrinsics_probability: float = 0.5
     """Share of the steps in which the network is told the intrinsics."""
+    trained: Literal["network", "refinement"] = "network"
+    """refinement: only the correction of depth by parallax, the network stays as it is."""
 
 
 class GeometryStage:
     """Depth up to scale, matches and focal length; cameras are solved from these."""
 
     def __init__(self, config: GeometryStageConfig) -> None:
+        if config.trained == "refinement" and not config.backbone.refinement_layers:
+            raise ValueError("backbone.refinement_layers is 0: there is no refinement to train")
         self.config = config
 
     def build_model(self) -> NanoBackbone:
         """A new backbone."""
-        return NanoBackbone(self.config.backbone)
+        model = NanoBackbone(self.config.backbone)
+        model.requires_grad_(self.config.trained == "network")
+        if model.refinement is not None:
+            model.refinement.requires_grad_(self.config.trained == "refinement")
+        return model
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
-        """Weights of a geometry run, or the backbone's of a tokenizer run."""
+        """Weights of a geometry run, or the backbone's of a tokenizer run.
+
+        Weights that know no refinement leave it as it is.
+        """
         prefix = "backbone."
         inner = {k.removeprefix(prefix): v for k, v in weights.items() if k.startswith(prefix)}
-        model.load_state_dict(inner or dict(weights))
+        found = inner or dict(weights)
+        if not any(name.startswith("refinement.") for name in found):
+            new = {k: v for k, v in model.state_dict().items() if k.startswith("refinement.")}
+            found = {**found, **new}
+        model.load_state_dict(found)
 
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
-        """The geometry loss on the context views."""
+        """The loss on the context views: of the network's answers, or of the refined depth."""
         assert isinstance(model, NanoBackbone)
         told = np.random.default_rng([3, step]).random() < self.config.intrinsics_probability
         loss = self._compare(model, sample.context, told=told)
         terms = {f.name: getattr(loss, f.name).detach() for f in fields(loss) if f.name != "total"}
         return StepLoss(loss.total, terms)
 
-    def _compare(self, model: NanoBackbone, context: Views, *, told: bool) -> GeometryLoss:
-        raw = model.encode(photos_only(context, keep_intrinsics=told))
+    def _compare(self, model: NanoBackbone, context: Views, *, told: bool) -> DepthLoss:
+        photos = photos_only(context, keep_intrinsics=told)
+        if self.config.trained == "refinement":
+            assert context.depths is not None
+            with torch.no_grad():
+                raw = model.encode(photos)
+                with torch.autocast(context.images.device.type, enabled=False):
+                    intrinsics, matches = model.intrinsics(photos, raw), model.find_matches(raw)
+            refined = model.refine(raw, intrinsics, matches)
+            return depth_loss(refined.log_depths, refined.log_confidences, context.depths)
+        raw = model.encode(photos)
         with torch.autocast(context.images.device.type, enabled=False):
             return geometry_loss(model, raw, context)
 
