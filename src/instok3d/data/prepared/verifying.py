@@ -35,18 +35,18 @@ def verify(folder: Path) -> Iterator[Fault]:
 
 def verify_index(folder: Path) -> Iterator[Fault]:
     """How the index differs from the scenes that lie there, and what no scene owns."""
-    try:
-        listed = read_index(folder)
-    except (FileNotFoundError, ValueError) as error:
-        yield Fault(INDEX, str(error))
-        listed = None
     lying = {scene.name: scene for scene in scene_folders(folder)}
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") and path.name.endswith(".part"):
             yield Fault(path.name, "was left by a run that was stopped; delete it")
         elif path.is_dir() and path.name not in lying and not path.name.startswith("."):
             yield Fault(path.name, f"is a folder without {RECORD}")
-    for name in sorted(lying.keys() | (listed or {}).keys()) if listed is not None else ():
+    try:
+        listed = read_index(folder)
+    except (FileNotFoundError, ValueError) as error:
+        yield Fault(INDEX, str(error))
+        return
+    for name in sorted(lying.keys() | listed.keys()):
         if name not in lying:
             yield Fault(name, "is in the index but not in the folder")
         elif name not in listed:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -190,13 +190,15 @@ def _lsm_test_scenes(
     return published_test_scenes(FileTree(folder).read(name), f"{folder}: {name}")
 
 
-def _splits_of(scans: Iterable[str], test: SceneList) -> dict[str, Split]:
-    splits = {name: split_of(name, test.names) for name in sorted(scans)}
-    others = [name for name, split in splits.items() if split is None]
+def _splits_of(scans: Collection[str], test: SceneList) -> dict[str, Split]:
+    splits = {
+        name: split for name in sorted(scans) if (split := split_of(name, test.names)) is not None
+    }
+    others = [name for name in sorted(scans) if name not in splits]
     if others:
         warnings.warn(
             f"{len(others)} scans are left out because their names are not among ScanNet's "
             f"annotated scene0000_00 to scene0706_00, such as {others[0]}",
             stacklevel=5,
         )
-    return {name: split for name, split in splits.items() if split is not None}
+    return splits
