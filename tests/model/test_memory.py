@@ -43,6 +43,23 @@ def test_the_prediction_is_never_below_what_was_measured_and_at_most_a_quarter_a
     assert measured <= bytes_for(views=views) <= 1.25 * measured
 
 
+@pytest.mark.parametrize(
+    ("tokenizer", "batch", "views", "dtype", "measured"),
+    # Largest resident size after three updates of the nano stages at 128 x 128, one thread, bytes.
+    [
+        (None, 4, 2, torch.float32, 1154e6),
+        (None, 1, 8, torch.bfloat16, 1002e6),
+        (NANO[1], 4, 2, torch.float32, 1114e6),
+        (NANO[1], 1, 2, torch.float32, 703e6),
+    ],
+)
+def test_so_it_is_for_training(tokenizer, batch: int, views: int, dtype, measured: float):
+    work = Work(
+        views, 128, 128, dtype=dtype, batch=batch, training=True, frozen_backbone=bool(tokenizer)
+    )
+    assert measured <= predict_peak_bytes(NANO[0], tokenizer, work) <= 1.25 * measured
+
+
 def test_more_of_anything_never_takes_less():
     for training in (False, True):
         counts = [bytes_for(views=views, training=training) for views in range(1, 40)]

@@ -21,6 +21,8 @@ from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 
 PROCESS_BYTES = 300_000_000
 """Python, torch and the other libraries of a command, with what they allocate once (CPU only)."""
+LEARNING_BYTES = 100_000_000
+"""What training allocates once, beyond the tensors that are counted."""
 CONVOLUTIONS_BYTES = 60_000_000
 """What the library of convolutions keeps for those of the dense heads."""
 LOADING = 2.1
@@ -109,6 +111,7 @@ def predict_peak_bytes(backbone: Any, tokenizer: TokenizerConfig | None, work: W
         running += 4 * FLOAT * trained  # gradient, two moments, running average
         learning = parts[1:] if work.frozen_backbone else parts
         running += sum(part.stored for part in learning) + _rendering(tokenizer, work)
+        running += LEARNING_BYTES
     return PROCESS_BYTES + int(max(LOADING * FLOAT * whole, running))
 
 
@@ -154,21 +157,44 @@ def check_memory(
         NotEnoughMemoryError: Says what is needed, what is there and how many views would fit.
     """
     needed = predict_peak_bytes(backbone, tokenizer, work)
+
+    def remedy(limit: int) -> str:
+        fitting = largest_view_count(backbone, tokenizer, work, limit)
+        if not fitting:
+            return "not even one view would fit: use a machine with more"
+        return f"{fitting} view{'s' if fitting > 1 else ''} would fit: {advice}"
+
+    what = f"{work.views} views of {work.height} x {work.width} pixels"
+    if work.batch > 1:
+        what += f" of {work.batch} scenes at once"
+    refuse_beyond(needed, what=what, device=device, remedy=remedy)
+    return needed
+
+
+def refuse_beyond(
+    needed: int, *, what: str, device: str | torch.device, remedy: Callable[[int], str]
+) -> None:
+    """Refuse what needs more memory than there is; nothing where the system does not say.
+
+    Args:
+        needed: Predicted peak, bytes.
+        what: What needs it, plural.
+        device: Where.
+        remedy: What to do instead with so many bytes.
+
+    Raises:
+        NotEnoughMemoryError: Says what is needed and what is there.
+    """
     free = available_bytes(device)
     if free is None:
-        return needed
+        return
     # What this process has already is not asked for again.
     limit = free + (resident_bytes() if torch.device(device).type == "cpu" else PROCESS_BYTES)
-    if needed <= limit:
-        return needed
-    fitting = largest_view_count(backbone, tokenizer, work, limit)
-    many = f"{fitting} view{'s' if fitting > 1 else ''} would fit: {advice}"
-    raise NotEnoughMemoryError(
-        f"{work.views} views of {work.height} x {work.width} pixels"
-        f"{f' of {work.batch} scenes at once' if work.batch > 1 else ''} are predicted to need "
-        f"{needed / 1e9:.2f} GB on {device}, and {limit / 1e9:.2f} GB are there; "
-        f"{many if fitting else 'not even one view would fit: use a machine with more'}"
-    )
+    if needed > limit:
+        raise NotEnoughMemoryError(
+            f"{what} are predicted to need {needed / 1e9:.2f} GB on {device}, and "
+            f"{limit / 1e9:.2f} GB are there; {remedy(limit)}"
+        )
 
 
 @lru_cache
@@ -212,10 +238,10 @@ def _nano(config: NanoConfig, work: Work) -> Activations:
     cells = (work.height // MATCH_STRIDE) * (work.width // MATCH_STRIDE)
     matching = 3 * FLOAT * work.batch * cells**2 if work.views > 1 else 0
     result = 2 * values + _geometry(work) + FLOAT * work.pixels // MATCH_STRIDE**2 * 64
+    block = (18 * FLOAT + 16 * work.narrow) * tokens * config.width
     return Activations(
         peak=480 * work.pixels + max(14 * values, matching),
-        stored=1_200 * work.pixels
-        + (18 * FLOAT + 16 * work.narrow) * tokens * config.width // FLOAT * 2 * config.layers,
+        stored=1_000 * work.pixels + 2 * config.layers * block,
         result=result,
     )
 
