@@ -108,7 +108,7 @@ def test_re10k_targets_lie_between_contexts_of_the_wanted_gap(num_frames, highes
     rng = np.random.default_rng(0)
     gaps = set()
     for _ in range(600):
-        choice = sample_frames(rng, num_frames, 2, 3, sampling="re10k", step=10**6)
+        choice = sample_frames(rng, num_frames, 2, 7, sampling="re10k", step=10**6)
         first, last = choice.context
         gaps.add(last - first)
         assert 0 <= first < choice.target[0] < last < num_frames

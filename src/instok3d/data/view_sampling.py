@@ -44,7 +44,7 @@ def sample_frames(
 
     Raises:
         ValueError: The scene has fewer frames than `frames_needed`, or the rule has no samples of
-            this many views or targets.
+            this many views or, in rooms, targets.
     """
     if sampling == "scannet":
         return sample_scannet(rng, num_frames, num_views=num_views, num_targets=num_targets)
@@ -104,14 +104,12 @@ def sample_re10k(
     """Two contexts in order, `re10k_gaps` apart; targets: a frame between them, then themselves.
 
     Raises:
-        ValueError: The clip has fewer frames than `frames_needed`, or num_targets is not 1 to 3.
+        ValueError: The clip has fewer frames than `frames_needed`.
     """
     if num_frames < frames_needed(2, "re10k"):
         raise ValueError(
             f"a clip needs at least {frames_needed(2, 're10k')} frames, this one has {num_frames}"
         )
-    if not 1 <= num_targets <= 3:
-        raise ValueError(f"two views have 1 to 3 targets (one new, two given), got {num_targets}")
     low, high = re10k_gaps(step)
     gap = int(rng.integers(low, min(high, num_frames - 1), endpoint=True))
     first = int(rng.integers(num_frames - gap))
