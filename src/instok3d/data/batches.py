@@ -79,8 +79,8 @@ class SceneBatches:
 
     The global batch of a step is cut into `accumulate` parts for each rank, so the samples of a
     two-view step depend on batch_size * accumulate * world_size alone; a step of more views leaves
-    out the last places of each part. Every epoch goes through all scenes in a new order. Scenes with too few frames
-    for a sample are left out with a warning.
+    out the last places of each part. Every epoch goes through all scenes in a new order. Scenes
+    with too few frames for a sample are left out with a warning.
 
     Args:
         source: The scenes.
