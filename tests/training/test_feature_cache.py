@@ -36,7 +36,8 @@ SIZES = TokenizerConfig(
     group_layers=1,
     gaussian_head=GaussianHeadConfig(gaussians_per_anchor=16),
 )
-STAGE = TokenizerStageConfig(backbone=NanoConfig(width=64, layers=1), tokenizer=SIZES)
+BACKBONE = NanoConfig(width=64, layers=1)
+STAGE = TokenizerStageConfig(backbone=BACKBONE, tokenizer=SIZES)
 CONFIG = replace(
     preset("nano-tokenizer"),
     stage=STAGE,
@@ -51,7 +52,7 @@ FEW = FakeRooms(2, size=32)
 
 def backbone_weights(seed: int = 0) -> dict[str, torch.Tensor]:
     torch.manual_seed(seed)
-    return NanoBackbone(STAGE.backbone).state_dict()
+    return NanoBackbone(BACKBONE).state_dict()
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +211,21 @@ def test_a_cache_grows_and_replaces_a_damaged_file(cache: Path, tmp_path: Path):
         fill_cache(replace(CONFIG, seed=3), ROOMS, tmp_path, backbone_weights())
 
 
+class OneShortRoom(FakeRooms):
+    """Room 2 has too few frames for four views."""
+
+    def num_frames(self, number: int) -> int:
+        return 3 if number == 2 else super().num_frames(number)
+
+
+def test_a_scene_too_short_for_training_has_no_samples(tmp_path: Path):
+    rooms = OneShortRoom(3, size=32)
+    with pytest.warns(UserWarning, match="1 of 2 scenes are left out"):
+        filled = fill_cache(CONFIG, rooms, tmp_path, backbone_weights())
+    assert (filled.scenes, filled.samples) == (3, 5)
+    check_cache(FeatureCache(tmp_path), CONFIG, rooms)
+
+
 def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path: Path):
     program = """
         import os, signal
@@ -254,7 +270,7 @@ def test_a_backbone_with_pointmaps_of_its_own_keeps_them(
     config = replace(CONFIG, stage=stage)
     fill_cache(config, FEW, tmp_path, backbone_weights())
     sample = SceneBatches(FEW, [1], CONFIG.batches, seed=CONFIG.seed).fixed_sample(1, 2, 0)
-    backbone = NanoBackbone(STAGE.backbone)
+    backbone = NanoBackbone(BACKBONE)
     backbone.load_state_dict(backbone_weights())
     with torch.no_grad():
         expected = backbone(replace(sample.context, intrinsics=None, cam_from_world=None,

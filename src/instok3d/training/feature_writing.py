@@ -172,7 +172,8 @@ def _scene_samples(
         for views in sorted(set(config.validation_views)):
             yield from validation_samples(source, [number], views)
         return
-    count = config.batches.samples_per_scene or 0
+    # A scene that is too short for training has a file without samples.
+    count = (config.batches.samples_per_scene or 0) if number in batches.scenes else 0
     for views in sorted(set(config.batches.views)):
         size = max(1, config.batches.batch_size * 2 // views)
         singles = []
