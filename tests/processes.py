@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from fake_rooms import FakeRooms
+from instok3d.training import distributed
 from instok3d.training.checkpoint import has_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.loop import train
@@ -62,6 +63,7 @@ def train_toy(config: TrainConfig, folder: Path, dropout: float, resume: bool = 
 
 
 def train_tokenizer(config: TrainConfig, folder: Path) -> str:
+    distributed.MIN_UNIT_PARAMETERS = 1000  # so that small blocks are gathered one at a time too
     return train(config, TokenizerStage(config.stage), ROOMS, folder).reason
 
 

@@ -54,6 +54,37 @@ def test_reading_ahead_gives_the_same_batches_in_order():
         assert same(sample, direct.batch(expected))
 
 
+@pytest.mark.parametrize("readers", [1, 2, 5])
+def test_any_number_of_readers_gives_the_same_parts_in_order(readers):
+    one = SceneBatches(FakeRooms(5, size=16), range(5), CONFIG, seed=0, accumulate=2)
+    stream = one.iterate(3, readers)
+    for expected in (3, 4, 5):
+        step, parts = next(stream)
+        assert step == expected
+        assert len(parts) == 2
+        assert all(same(part, one.batch(step, k)) for k, part in enumerate(parts))
+    with pytest.raises(ValueError, match="readers must be at least 1, got 0"):
+        next(one.iterate(0, 0))
+
+
+def test_parts_of_a_step_are_shared_out_between_ranks():
+    """One process in four parts, two in two, and four in one see the same samples."""
+    small = BatchConfig(batch_size=1)
+
+    def names(world_size: int, accumulate: int) -> list[str]:
+        ranks = [
+            SceneBatches(
+                FakeRooms(5, size=16), range(5), small, seed=0,
+                rank=rank, world_size=world_size, accumulate=accumulate,
+            )
+            for rank in range(world_size)
+        ]  # fmt: skip
+        return [rank.batch(2, part).names[0] for rank in ranks for part in range(accumulate)]
+
+    assert names(1, 4) == names(2, 2) == names(4, 1)
+    assert len(set(names(1, 4))) == 4
+
+
 def test_more_views_make_smaller_batches():
     config = BatchConfig(batch_size=4, views=(8,))
     assert batches(config=config).batch(0).context.images.shape[:2] == (1, 8)

@@ -17,11 +17,11 @@ from toy_stage import TINY
 KILLS = 20
 CONFIG = replace(
     TINY,
-    steps=60,
+    steps=100,
     threads=1,
     checkpoint_every_steps=1,
-    validate_every_steps=5,
-    log_every_steps=3,
+    validate_every_steps=20,
+    log_every_steps=7,
 )
 
 
@@ -43,7 +43,7 @@ def test_run_killed_at_twenty_random_points_ends_bit_for_bit_the_same(tmp_path):
         process.start()
         if kills < KILLS and strike is None:
             wait_for_a_checkpoint_of_its_own(process, tmp_path / "killed", ends)
-            time.sleep(rng.uniform(0, 0.1))
+            time.sleep(rng.uniform(0, 0.03))
             process.kill()
         process.join(processes.SECONDS)
         assert process.exitcode in (0, -9)

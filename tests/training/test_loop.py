@@ -114,6 +114,14 @@ def test_new_run_in_the_folder_of_another_is_refused(tmp_path):
         train(TINY, ToyStage(), ROOMS, tmp_path / "other", resume=True)
 
 
+def test_run_killed_in_its_first_checkpoint_begins_anew(tmp_path):
+    checkpoints = tmp_path / "checkpoints"
+    checkpoints.mkdir()
+    (checkpoints / ".step_00000000.pt.x1.pt").write_bytes(b"half")
+    assert train(replace(TINY, steps=1), ToyStage(), ROOMS, tmp_path).reason == "finished"
+    assert [path.name for path in checkpoints.iterdir()] == ["step_00000001.pt"]
+
+
 def test_run_starts_from_the_averaged_weights_of_another(tmp_path):
     train(TINY, ToyStage(), ROOMS, tmp_path / "first")
     once = replace(TINY, steps=0)

@@ -61,6 +61,28 @@ def test_figure_that_is_not_a_number_is_left_out(tmp_path):
     assert line == {"kind": "validation", "step": 1, "elapsed_s": 0.5, "psnr": 20.0}
 
 
+def test_a_resumed_record_has_each_line_once(tmp_path):
+    log = RunLog(tmp_path, total_steps=9)
+    for step in (2, 4):
+        log.train(step, 1.0, {"loss": float(step)})
+    log.validation(3, 1.0, {"psnr": 1.0})
+    resumed = RunLog(tmp_path, total_steps=9, first_step=3, resumed=True)
+    resumed.validation(3, 2.0, {"psnr": 1.0})
+    resumed.train(4, 2.0, {"loss": 4.0})
+    lines = read_metrics(tmp_path / "metrics.jsonl")
+    assert [(line["kind"], line["step"]) for line in lines] == [
+        ("train", 2), ("validation", 3), ("train", 4),
+    ]  # fmt: skip
+    RunLog(tmp_path, total_steps=9)  # a run that begins anew
+    assert read_metrics(tmp_path / "metrics.jsonl") == []
+
+
+def test_a_silent_record_writes_and_prints_nothing(tmp_path, capsys):
+    RunLog(None, total_steps=2).train(1, 0.5, {"loss": 1.0})
+    assert capsys.readouterr().err == ""
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_durations_read_well():
     assert format_duration(59.9) == "0m59s"
     assert format_duration(7261.0) == "2h01m"

@@ -113,26 +113,18 @@ class SharedLoss(nn.Module):
         return loss.total, loss.terms
 
 
-def share(
-    stage: Stage,
-    model: nn.Module,
-    processes: Processes,
-    strategy: Strategy,
-    *,
-    min_unit_parameters: int = MIN_UNIT_PARAMETERS,
-) -> nn.Module:
+def share(stage: Stage, model: nn.Module, processes: Processes, strategy: Strategy) -> nn.Module:
     """The stage's loss of the model, ready for several processes.
 
     FSDP replaces the model's parameters by their shards; it gathers the members of ModuleLists
-    that are large enough one at a time, and all else at once. A process that is alone shares with
-    nobody, whatever the strategy.
+    that are large enough one at a time, and all else at once. Such a member must be used by calling
+    it. A process that is alone shares with nobody, whatever the strategy.
 
     Args:
         stage: Gives the loss.
         model: On its device, with the same weights in every process.
         processes: Those of the run.
         strategy: auto = ddp.
-        min_unit_parameters: How large a block must be to be gathered by itself.
 
     Raises:
         ValueError: The strategy is single and there are several processes.
@@ -151,7 +143,7 @@ def share(
     units = [unit for members in lists for unit in members]
     scalars = {p for p in model.parameters() if p.ndim == 0}  # FSDP has no shards of them
     for unit in reversed(units):
-        if sum(p.numel() for p in unit.parameters()) >= min_unit_parameters:
+        if sum(p.numel() for p in unit.parameters()) >= MIN_UNIT_PARAMETERS:
             fully_shard(unit, mesh=mesh, ignored_params=scalars)
     fully_shard(loss, mesh=mesh, ignored_params=scalars)
     return loss

@@ -172,13 +172,7 @@ def _steps(
         first_step=state.step,
         resumed=resume,
     )
-    trained = sum(p.numel() for p in state.model.parameters() if p.requires_grad)
-    log.say(
-        f"{len(run.batches.scenes)} scenes to train on, {config.holdout} held out, "
-        f"{trained / 1e6:.2f} M trained parameters, "
-        f"{processes.count} process{'es' * (processes.count > 1)}, "
-        f"step {state.step} of {config.steps}"
-    )
+    log.say(_beginning(run))
     start = last_validation = last_save = time.monotonic()
     elapsed_before_s = state.elapsed_s
     sums = RunningMeans()
@@ -199,8 +193,7 @@ def _steps(
         if step == 0 or ending or validation_due or _is_turn(step, config.validate_every_steps):
             with averaged_model(run) as model:
                 if model is not None:
-                    figures = validate(run, model)
-                    log.validation(step, state.elapsed_s, figures)
+                    log.validation(step, state.elapsed_s, validate(run, model))
                     plot_curves(folder / "metrics.jsonl", folder / "curves.png")
             last_validation = time.monotonic()
             log.pause(last_validation - now)
@@ -223,11 +216,10 @@ def _steps(
             cosine_steps=config.cosine_steps or config.steps,
             final_fraction=config.final_lr_fraction,
         )
-        figures = train_step(config, run.loss, state, parts, rate, folder, processes)
+        sums.add(train_step(config, run.loss, state, parts, rate, folder, processes))
         state.step += 1
 
         # Log the means over steps and processes.
-        sums.add(figures)
         if state.step % config.log_every_steps == 0 or state.step == config.steps:
             over_processes = RunningMeans()
             for means in processes.gather(sums.take()):
@@ -303,6 +295,16 @@ def stop_requests() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _beginning(run: Run) -> str:
+    trained = sum(p.numel() for p in run.state.model.parameters() if p.requires_grad)
+    count = run.processes.count
+    return (
+        f"{len(run.batches.scenes)} scenes to train on, {run.config.holdout} held out, "
+        f"{trained / 1e6:.2f} M trained parameters, {count} process{'es' * (count > 1)}, "
+        f"step {run.state.step} of {run.config.steps}"
+    )
 
 
 def _end(finished: bool, stopped: bool, out_of_time: bool) -> End | None:

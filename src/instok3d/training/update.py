@@ -17,7 +17,7 @@ from instok3d.training.run_log import RunningMeans
 from instok3d.training.stages import StepLoss
 
 
-class NonFiniteLossError(RuntimeError):
+class NonFiniteLossError(ValueError):
     """The loss or the gradient is not finite; the update was not made and the batch is saved."""
 
 
