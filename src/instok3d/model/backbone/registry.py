@@ -25,7 +25,20 @@ def _vggt() -> BackboneKind:
     return BackboneKind(VGGTBackbone, VGGTConfig)
 
 
-BACKBONES: dict[str, Callable[[], BackboneKind]] = {"nano": _nano, "vggt": _vggt}
+def _depth_anything_3() -> BackboneKind:
+    from instok3d.model.backbone.depth_anything3 import (
+        DepthAnything3Backbone,
+        DepthAnything3Config,
+    )
+
+    return BackboneKind(DepthAnything3Backbone, DepthAnything3Config)
+
+
+BACKBONES: dict[str, Callable[[], BackboneKind]] = {
+    "nano": _nano,
+    "vggt": _vggt,
+    "depth-anything-3": _depth_anything_3,
+}
 """A new backbone is one more line here: its name and what imports it."""
 
 
