@@ -85,9 +85,11 @@ def test_parts_of_a_step_are_shared_out_between_ranks():
     assert len(set(names(1, 4))) == 4
 
 
-def test_more_views_make_smaller_batches():
-    config = BatchConfig(batch_size=4, views=(8,))
-    assert batches(config=config).batch(0).context.images.shape[:2] == (1, 8)
+@pytest.mark.parametrize(("views", "scenes", "targets"), [(2, 4, 2), (4, 2, 4), (8, 1, 8)])
+def test_more_views_make_smaller_batches_of_as_many_pictures(views, scenes, targets):
+    sample = batches(config=BatchConfig(batch_size=4, views=(views,), num_targets=2)).batch(0)
+    assert sample.context.images.shape[:2] == (scenes, views)
+    assert sample.target.images.shape[:2] == (scenes, targets)
 
 
 def test_photometric_change_is_one_for_all_views_of_a_scene():

@@ -47,7 +47,8 @@ class BatchConfig:
     views: tuple[int, ...] = (2,)
     """Numbers of context views; each step draws one. (2, 2, 2, 4, 8) has 2 in three of five."""
     num_targets: int = 2
-    """Target views of a sample: one new frame, then context frames (two views: at most 3)."""
+    """Target views of a two-view sample: one new frame, then context frames (rooms: at most 3). A
+    sample of V views has V / 2 times as many, so that every step renders equally many."""
     photometric: bool = True
     """Change exposure, contrast and white balance scene by scene, and add noise to contexts."""
     sampling: Sampling = "rooms"
@@ -197,7 +198,7 @@ class SceneBatches:
             rng,
             self.source.num_frames(number),
             views,
-            config.num_targets,
+            config.num_targets * views // 2,
             sampling=config.sampling,
             step=step,
         )
