@@ -63,11 +63,10 @@ def read_index(folder: Path) -> dict[str, dict[str, Any]]:
             "`instok3d data verify --index` where scenes lie there already"
         )
     scenes = read_json(folder / INDEX, INDEX_FORMAT).get("scenes")
-    whole = isinstance(scenes, dict) and all(
-        isinstance(s, dict) and {"split", "num_frames", "sha256"} <= s.keys()
-        for s in scenes.values()
-    )
-    if not whole:
+    wanted = {"split", "num_frames", "sha256"}
+    if not isinstance(scenes, dict) or not all(
+        isinstance(scene, dict) and wanted <= scene.keys() for scene in scenes.values()
+    ):
         raise ValueError(
             f"{folder / INDEX} is damaged; run `instok3d data verify --index {folder}`"
         )

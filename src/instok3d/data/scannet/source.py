@@ -191,9 +191,8 @@ def _lsm_test_scenes(
 
 
 def _splits_of(scans: Collection[str], test: SceneList) -> dict[str, Split]:
-    splits = {
-        name: split for name in sorted(scans) if (split := split_of(name, test.names)) is not None
-    }
+    found = ((name, split_of(name, test.names)) for name in sorted(scans))
+    splits: dict[str, Split] = {name: split for name, split in found if split is not None}
     others = [name for name in sorted(scans) if name not in splits]
     if others:
         warnings.warn(
