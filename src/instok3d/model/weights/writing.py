@@ -62,7 +62,7 @@ def write_tensors(
             digest.update(block)
             stream.write(block)
         for name in order:
-            block = memoryview(_bytes(tensors[name]))
+            block = _bytes(tensors[name])
             digest.update(block)
             stream.write(block)
     return digest.hexdigest()
@@ -70,4 +70,4 @@ def write_tensors(
 
 def _bytes(tensor: Tensor) -> memoryview:
     flat = tensor.detach().cpu().contiguous().flatten()
-    return memoryview(flat.view(torch.uint8).numpy()) if flat.numel() else memoryview(b"")
+    return flat.view(torch.uint8).numpy().data if flat.numel() else memoryview(b"")
