@@ -174,6 +174,17 @@ def test_bfloat16_autocast_stays_near_float32_and_the_heads_stay_in_it(rng):
     assert error < 0.03 * plain["feature_last"].abs().mean()
 
 
+def test_a_trunk_in_bfloat16_feeds_heads_in_float32(rng):
+    network, images = tiny_vggt(intrinsics_token=True), torch.rand(1, 2, 3, 32, 48, generator=rng)
+    plain = answers(network, images)
+    network.aggregator.to(torch.bfloat16)
+    low = answers(network, images)
+    assert low.pop("feature_first").dtype == torch.bfloat16
+    error = (low.pop("feature_last").float() - plain["feature_last"]).abs().mean()
+    assert error < 0.03 * plain["feature_last"].abs().mean()
+    assert all(value.dtype == torch.float32 and value.isfinite().all() for value in low.values())
+
+
 def test_recomputing_blocks_changes_no_gradient(rng):
     images = torch.rand(1, 2, 3, 32, 32, generator=rng)
     gradients = []

@@ -2,6 +2,7 @@
 
 from instok3d.model.backbone.vggt.backbone import VGGTBackbone
 from instok3d.model.backbone.vggt.config import PAPER_VGGT, VGGTConfig
+from instok3d.model.backbone.vggt.conversion import to_patch_16
 from instok3d.model.backbone.vggt.network import VGGT, VGGTOutput
 from instok3d.model.backbone.vggt.weights import load_vggt_weights
 
@@ -12,4 +13,5 @@ __all__ = [
     "VGGTConfig",
     "VGGTOutput",
     "load_vggt_weights",
+    "to_patch_16",
 ]

@@ -93,6 +93,7 @@ class Aggregator(nn.Module):
     def _embed(self, images: Tensor, intrinsics: Tensor | None) -> Tensor:
         """All tokens before the first pair of blocks, [batch, view, token, channel]."""
         batch, views, _, height, width = images.shape
+        images = images.to(self.camera_token.dtype)
         mean, std = (images.new_tensor(each)[:, None, None] for each in (IMAGE_MEAN, IMAGE_STD))
         patches = self.patch_embed(((images - mean) / std).flatten(0, 1))
         parts = [

@@ -58,7 +58,7 @@ class VGGTBackbone(GeometryBackbone):
         size = views.images.shape[-2:]
         layers = {*self.config.dpt_layers, last}
         tokens = network.aggregator(views.images, views.intrinsics, layers=layers)
-        features = network.patch_tokens(tokens[last])
+        features = network.patch_tokens(tokens[last]).float()
         with torch.autocast(views.images.device.type, enabled=False):
             cameras = decode_cameras(network.poses(tokens), *size)
             if views.intrinsics is not None:

@@ -33,7 +33,9 @@ class VGGTOutput:
 class VGGT(nn.Module):
     """Visual geometry grounded transformer (arXiv 2503.11651).
 
-    Its state dict has the names and shapes of the published one, without `track_head.*`.
+    Its state dict has the names and shapes of the published one, without `track_head.*`. The trunk
+    may hold its weights in half the memory, `aggregator.to(torch.bfloat16)`, and the heads theirs
+    in float32.
     """
 
     def __init__(self, config: VGGTConfig) -> None:
@@ -49,7 +51,7 @@ class VGGT(nn.Module):
         images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"] | None = None,
     ) -> VGGTOutput:
-        """Run trunk and heads. The heads run in float32, also under autocast.
+        """Run trunk and heads. The heads keep to the type of their weights under autocast.
 
         Args:
             images: sRGB in [0, 1]; sides are multiples of the patch size.
@@ -72,7 +74,7 @@ class VGGT(nn.Module):
         """The camera head's answer to the last pair's tokens."""
         last = tokens[self.config.depth - 1]
         with torch.autocast(last.device.type, enabled=False):
-            return self.camera_head(last[:, :, 0].float())
+            return self.camera_head(last[:, :, 0].to(self.camera_head.token_norm.weight))
 
     def points(
         self, tokens: dict[int, Tensor], size: tuple[int, int] | torch.Size
@@ -97,4 +99,4 @@ class VGGT(nn.Module):
         rows, columns = (side // self.config.patch_size for side in size)
         chosen = [self.patch_tokens(tokens[layer]) for layer in self.config.dpt_layers]
         with torch.autocast(chosen[0].device.type, enabled=False):
-            return head([each.float() for each in chosen], rows, columns)
+            return head([each.to(head.norm.weight) for each in chosen], rows, columns)
