@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
+from instok3d.data.batches import SceneBatches
 from instok3d.training.config import preset
 from instok3d.training.estimate import (
     PEAK_TFLOPS,
@@ -109,7 +110,11 @@ def test_disk_holds_two_checkpoints_and_the_one_being_written():
 def test_targets_follow_the_rule_of_the_data_set():
     assert targets_of(preset("scannet-2view"), 2) == 3
     assert targets_of(preset("scannet-8view"), 8) == 7
-    assert targets_of(preset("nano-tokenizer"), 8) == 2
+    assert [targets_of(preset("nano-tokenizer"), views) for views in (2, 8)] == [2, 8]
+    for name, views in (("scannet-2view", 2), ("scannet-8view", 8), ("re10k-2view", 2)):
+        batches = replace(preset(name).batches, batch_size=views // 2, sampling="scannet")
+        drawn = SceneBatches(Rooms((16,)), [0], batches, seed=0).batch(0)
+        assert drawn.target.images.shape[1] == targets_of(preset(name), views)
 
 
 def test_scenes_that_are_too_short_are_counted_and_left_out():

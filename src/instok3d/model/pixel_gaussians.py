@@ -88,10 +88,10 @@ class PixelGaussianHead(nn.Module):
         damping = harmonic_damping(config.sh_degree)
         self.register_buffer("damping", damping[:, None], persistent=False)
         nn.init.normal_(self.out.weight, std=0.002)
-        nn.init.zeros_(self.out.bias)
-        with torch.no_grad():
-            self.out.bias[3] = 1.0  # no rotation
-            self.out.bias[7] = INITIAL_OPACITY_LOGIT
+        start = torch.zeros(sum(self.sizes))
+        start[3] = 1.0  # no rotation
+        start[7] = INITIAL_OPACITY_LOGIT
+        self.out.bias = nn.Parameter(start)
 
     def forward(self, views: Views, geometry: Geometry) -> Gaussians:
         """Gaussians in float32; pixels whose point is not finite get one that cannot be seen.

@@ -155,7 +155,7 @@ Batches of 4 in 4 processes, twice before each update, are 32 samples."""
 
 SCANNET_8VIEW = replace(
     SCANNET_2VIEW,
-    batches=replace(_SCANNET_PAIRS, batch_size=8, views=(8,), num_targets=7),
+    batches=replace(_SCANNET_PAIRS, batch_size=8, views=(8,)),
     steps=15_000,
     warmup_steps=1_500,
     accumulate=4,
@@ -207,6 +207,7 @@ PRESETS = {
     ),
     "nano-adapt": TrainConfig(
         stage=AdaptStageConfig(
+            weights="default",
             trained=("to_coarse_depth", "to_half", "to_fine_depth"),
             head=PixelGaussianConfig(width=32),
             lpips_weight=0.0,
@@ -217,8 +218,9 @@ PRESETS = {
         warmup_steps=50,
     ),
 }
-"""The nano runs are this project's own; the paper trains at full size only. nano-adapt leaves the
-matches alone, which its loss does not see, and moves the depths."""
+"""The nano runs are this project's own; the paper trains at full size only. nano-adapt begins
+with the backbone of the shipped model, leaves the matches alone, which its loss does not see, and
+moves the depths."""
 
 
 def write_config(folder: Path, config: TrainConfig, **about: str) -> None:

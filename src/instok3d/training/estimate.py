@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import nn
 
+from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.memory import Work, predict_peak_bytes, refuse_beyond
 from instok3d.training.adapt_stage import AdaptStageConfig, new_adapt_model
 from instok3d.training.checkpoint import KEPT
@@ -76,6 +77,7 @@ def flop_per_sample(
     """
     stage = config.stage
     backbone = getattr(model, "backbone", model)
+    assert isinstance(backbone, GeometryBackbone)
     pixels = views * height * width
     patches = pixels // backbone.patch_size**2
     total = 0.0
@@ -98,9 +100,9 @@ def samples_per_batch(config: TrainConfig, views: int) -> int:
 
 def targets_of(config: TrainConfig, views: int) -> int:
     """Target views of one sample, by the rule of the data set."""
-    wanted = config.batches.num_targets
+    wanted = config.batches.num_targets * views // 2
     if config.batches.sampling == "rooms":
-        return wanted
+        return min(wanted, 2 * views - 1)
     return min(wanted, 3 if views == 2 else views - 1)
 
 

@@ -6,6 +6,10 @@ from pathlib import Path
 from torch import Tensor
 
 from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.depth_anything3 import (
+    DepthAnything3Backbone,
+    DepthAnything3Config,
+)
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
 from instok3d.model.backbone.vggt.conversion import KERNEL, resize_patches
@@ -14,7 +18,7 @@ from instok3d.model.weights import weights_path
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.training.feature_cache import of_backbone
 
-BackboneConfig = NanoConfig | VGGTConfig
+BackboneConfig = NanoConfig | VGGTConfig | DepthAnything3Config
 """Sizes of a backbone that a stage can be built on (`model.backbone.registry`)."""
 
 
@@ -28,6 +32,9 @@ def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> 
         RuntimeError: They do not fit.
     """
     inner = of_backbone(weights)
+    if isinstance(backbone, DepthAnything3Backbone) and any(n.startswith("model.") for n in inner):
+        backbone.net.load_state_dict({n.removeprefix("model."): v for n, v in inner.items()})
+        return
     if not (isinstance(backbone, VGGTBackbone) and KERNEL in inner):
         backbone.load_state_dict(inner)
         return
