@@ -42,7 +42,7 @@ def killing_frames(signal_number: int) -> Iterator[PreparedFrame]:
 
 
 def slow_frames(started: Path) -> Iterator[PreparedFrame]:
-    started.write_text("")
+    started.touch()
     for number in range(10_000):
         time.sleep(0.01)
         yield made_frame(number)
@@ -137,10 +137,10 @@ def test_a_killed_worker_is_said_to_be_one(tmp_path: Path):
     assert list(verify(tmp_path)) == []
 
 
-def test_an_interrupt_leaves_whole_scenes_only(tmp_path: Path):
-    """Ctrl-C as a terminal sends it: to the whole group of processes."""
-    here, out = Path(__file__).resolve(), tmp_path / "out"
-    run([job("a")], out)
+def started_program(tmp_path: Path) -> subprocess.Popen[bytes]:
+    """A program that prepares scenes b and c in two processes, and has begun to."""
+    here = Path(__file__).resolve()
+    started, out = tmp_path / "started", tmp_path / "out"
     (tmp_path / "program.py").write_text(
         f"""
 import sys
@@ -148,25 +148,42 @@ from pathlib import Path
 sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1])!r}]
 if __name__ == "__main__":
     from test_preparation import job, run, slow_frames
-    started = Path({str(tmp_path / "started")!r})
+    started = Path({str(started)!r})
     run([job("a"), job("b", slow_frames, started), job("c", slow_frames, started)],
         Path({str(out)!r}), workers=2)
 """
     )
     program = [sys.executable, str(tmp_path / "program.py")]
     process = subprocess.Popen(program, start_new_session=True, stderr=subprocess.PIPE)
-    try:
-        deadline = time.monotonic() + 200
-        while not (tmp_path / "started").exists():
-            assert process.poll() is None, process.communicate()[1].decode()
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        os.killpg(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=100)
-    finally:
-        process.kill()
+    deadline = time.monotonic() + 200
+    while not started.exists():
+        if process.poll() is not None or time.monotonic() > deadline:
+            process.kill()
+            raise AssertionError(process.communicate()[1].decode())
+        time.sleep(0.05)
+    return process
+
+
+def test_an_interrupt_leaves_whole_scenes_only(tmp_path: Path):
+    """Ctrl-C as a terminal sends it: to the whole group of processes."""
+    out = tmp_path / "out"
+    run([job("a")], out)
+    process = started_program(tmp_path)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=100)
     assert b"KeyboardInterrupt" in errors
     assert sorted(path.name for path in out.iterdir()) == ["a", "scenes.json"]
+    assert list(verify(out)) == []
+
+
+def test_a_killed_run_takes_its_workers_along_and_can_be_finished(tmp_path: Path):
+    out = tmp_path / "out"
+    run([job("a")], out)
+    process = started_program(tmp_path)
+    process.kill()
+    process.communicate(timeout=100)  # ends when no process holds its stderr any more
+    assert {fault.path for fault in verify(out)} <= {".b.part", ".c.part"}
+    run([job("a"), job("b"), job("c")], out)
     assert list(verify(out)) == []
 
 
