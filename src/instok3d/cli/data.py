@@ -1,4 +1,4 @@
-"""`instok3d data`: make procedural rooms and look at them, prepare and verify real data sets."""
+"""`instok3d data`: make procedural rooms and look at them, prepare, verify and label real data."""
 
 import sys
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from instok3d.cli.data_masks import masks
 from instok3d.cli.data_prepare import prepare, verify
 
 
@@ -76,7 +77,9 @@ def preview(
     print(path)
 
 
-COMMANDS = {"rooms": rooms, "preview": preview, "prepare": prepare, "verify": verify}
+COMMANDS = {
+    "rooms": rooms, "preview": preview, "prepare": prepare, "verify": verify, "masks": masks
+}  # fmt: skip
 """Subcommands of `instok3d data`."""
 
 
