@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from instok3d.data.scannet.id_maps import IdMaps, known_instances, read_id_png, write_id_maps
+from instok3d.data.scannet.id_maps import IdMaps, largest_instance, read_id_png, write_id_maps
 from scannet_files import id_map, png_bytes
 
 SIZE = (6, 8)
@@ -92,9 +92,9 @@ def test_only_pictures_of_ids_are_read(data: bytes, message: str):
 def test_instances_are_one_more_than_the_ids_of_the_aggregation(tmp_path: Path):
     path = tmp_path / "a.aggregation.json"
     path.write_text('{"segGroups": [{"id": 0, "label": "wall"}, {"id": 4, "label": "bed"}]}')
-    assert known_instances(path) == {1, 5}
+    assert largest_instance(path) == 5
     path.write_text('{"segGroups": []}')
-    assert known_instances(path) == set()
+    assert largest_instance(path) == 0
     path.write_text("[]")
     with pytest.raises(ValueError, match="damaged"):
-        known_instances(path)
+        largest_instance(path)

@@ -13,7 +13,7 @@ from instok3d.data.cropping import crop_about_principal_point, crop_image, crop_
 from instok3d.data.pixel_map import PixelMap
 from instok3d.data.poses import pose_fault
 from instok3d.data.prepared import DroppedFrame, PreparedFrame
-from instok3d.data.scannet.id_maps import IdMaps, Kind, known_instances
+from instok3d.data.scannet.id_maps import IdMaps, Kind, largest_instance
 from instok3d.data.scannet.sens import SensFile
 
 ASPECT_TOLERANCE = 0.02
@@ -40,7 +40,7 @@ def scan_frames(
         size: Height and width.
         instances: Archive of instance maps; None for a scene without ids.
         labels: Archive of label maps; None for a scene without labels.
-        aggregation: Lists the ids that instance maps may hold; None does not check them.
+        aggregation: Says how large the ids of instance maps may be; None does not check them.
 
     Raises:
         FileNotFoundError: A file is not there.
@@ -52,7 +52,7 @@ def scan_frames(
             kind: stack.enter_context(_maps_of(scan, path, kind))
             for kind, path in _archives(instances, labels)
         }
-        known = None if aggregation is None else known_instances(aggregation)
+        largest = None if aggregation is None else largest_instance(aggregation)
         pixel_map = _crop(scan, size)
         for number in range(0, len(scan.frames), stride):
             pose = scan.frames[number].world_from_cam
@@ -68,7 +68,7 @@ def scan_frames(
                 for kind, values in ids.items()
                 if values is not None
             }
-            _check_instances(cropped.get("instance-filt"), known, instances, number)
+            _check_instances(cropped.get("instance-filt"), largest, instances, number)
             yield PreparedFrame(
                 source=str(number),
                 image=crop_image(_at_depth_size(scan, number), pixel_map),
@@ -160,15 +160,12 @@ def _cropped_ids(
 
 def _check_instances(
     ids: UInt16[np.ndarray, "height width"] | None,
-    known: set[int] | None,
+    largest: int | None,
     archive: Path | None,
     number: int,
 ) -> None:
-    if ids is None or known is None:
-        return
-    unknown = set(np.unique(ids).tolist()) - known - {0}
-    if unknown:
+    if ids is not None and largest is not None and ids.max(initial=0) > largest:
         raise ValueError(
-            f"{archive} has the id {min(unknown)} in frame {number}, which the scan's "
-            "aggregation.json does not list: the archive belongs to another scan"
+            f"{archive} has the id {ids.max()} in frame {number}, the scan's aggregation.json "
+            f"none above {largest}: the archive belongs to another scan"
         )

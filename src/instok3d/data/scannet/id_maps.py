@@ -101,15 +101,15 @@ def read_id_png(data: bytes, what: str) -> UInt16[np.ndarray, "height width"]:
     return pixels.astype(np.uint16)
 
 
-def known_instances(path: Path) -> set[int]:
-    """The ids that instance maps of a scan may hold, by its `{scan}.aggregation.json`.
+def largest_instance(path: Path) -> int:
+    """The largest id that instance maps of a scan may hold, by its `{scan}.aggregation.json`.
 
     Raises:
         ValueError: The file is damaged.
     """
     try:
         groups = json.loads(path.read_text(encoding="utf-8"))["segGroups"]
-        return {int(group["id"]) + 1 for group in groups}
+        return max((int(group["id"]) + 1 for group in groups), default=0)
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is damaged ({error!r}); download it again") from error
 
