@@ -191,9 +191,14 @@ def _lsm_test_scenes(
 
 
 def _splits_of(scans: Collection[str], test: SceneList) -> dict[str, Split]:
-    found = ((name, split_of(name, test.names)) for name in sorted(scans))
-    splits: dict[str, Split] = {name: split for name, split in found if split is not None}
-    others = [name for name in sorted(scans) if name not in splits]
+    splits: dict[str, Split] = {}
+    others: list[str] = []
+    for name in sorted(scans):
+        split = split_of(name, test.names)
+        if split is None:
+            others.append(name)
+        else:
+            splits[name] = split
     if others:
         warnings.warn(
             f"{len(others)} scans are left out because their names are not among ScanNet's "
