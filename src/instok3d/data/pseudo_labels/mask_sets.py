@@ -1,6 +1,7 @@
 """Sets of masks that may overlap: how much they do, which of them to keep, who is on top."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
@@ -51,13 +52,20 @@ def without_small_regions(
 
     A mask that is all small islands keeps the largest one.
     """
-    holes, count = ndimage.label(~mask)
-    areas = np.bincount(holes.ravel(), minlength=count + 1)
+    holes, areas = _regions(~mask)
     filled = mask | ((areas < min_area)[holes] & (holes > 0))
-    islands, count = ndimage.label(filled)
-    areas = np.bincount(islands.ravel(), minlength=count + 1)
+    islands, areas = _regions(filled)
     areas[0] = 0
     return np.isin(islands, np.flatnonzero(areas >= max(1, min(min_area, areas.max()))))
+
+
+def _regions(
+    mask: Bool[np.ndarray, "height width"],
+) -> tuple[Int[np.ndarray, "height width"], Int[np.ndarray, " region"]]:
+    """Which connected region each pixel is in, 0 = outside the mask, and the pixels of each."""
+    found: Any = ndimage.label(mask)  # its declared type allows far more than pairs
+    regions, count = found
+    return regions, np.bincount(regions.ravel(), minlength=count + 1)
 
 
 def visible_shares(

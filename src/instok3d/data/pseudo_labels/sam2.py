@@ -5,7 +5,6 @@ and normalised here. Every track has a session of its own: tracks can be dropped
 what SAM 2 no longer looks at is thrown away, so a clip may be of any length.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from instok3d.data.prepared.format import sha256_of
 from instok3d.data.pseudo_labels.automatic import (
     AutomaticConfig,
     AutomaticMasks,
@@ -55,8 +55,9 @@ class Sam2:
     ) -> None:
         transformers = _transformers()
         _check_folder(folder)
-        self.folder, self.device = folder, torch.device(device)
+        self.device = torch.device(device)
         self.version: str = transformers.__version__
+        self._sha256 = sha256_of(folder / WEIGHTS)
         self._video = _loaded(transformers.Sam2VideoModel, folder).to(self.device)
         image = _image_model(transformers, self._video)
         self._automatic = AutomaticMasks(_Segmenter(image, self.device), automatic)
@@ -71,11 +72,9 @@ class Sam2:
 
     def identity(self) -> dict[str, Any]:
         """What the masks depend on, for the record: library, weights, proposals."""
-        with (self.folder / WEIGHTS).open("rb") as stream:
-            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
         return {
             "model": "sam2",
-            "weights_sha256": sha256,
+            "weights_sha256": self._sha256,
             "library": f"transformers {self.version}",
             "automatic": asdict(self._automatic.config),
         }
