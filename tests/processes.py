@@ -16,7 +16,7 @@ from instok3d.training import distributed
 from instok3d.training.checkpoint import has_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.loop import train
-from instok3d.training.tokenizer_stage import TokenizerStage
+from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
 from instok3d.training.update import NonFiniteLossError
 from toy_stage import ToyStage
 
@@ -64,6 +64,7 @@ def train_toy(config: TrainConfig, folder: Path, dropout: float, resume: bool = 
 
 def train_tokenizer(config: TrainConfig, folder: Path) -> str:
     distributed.MIN_UNIT_PARAMETERS = 1000  # so that small blocks are gathered one at a time too
+    assert isinstance(config.stage, TokenizerStageConfig)
     return train(config, TokenizerStage(config.stage), ROOMS, folder).reason
 
 

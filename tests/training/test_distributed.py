@@ -77,7 +77,9 @@ def assert_nearly_the_same_run(a: Path, b: Path, steps: int) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
-@pytest.mark.parametrize("config", [TOY, TOKENIZER], ids=["toy", "tokenizer"])
+@pytest.mark.parametrize(
+    "config", [TOY, pytest.param(TOKENIZER, marks=pytest.mark.slow)], ids=["toy", "tokenizer"]
+)
 def test_two_processes_with_half_the_batch_each_make_the_same_weights(config, strategy, tmp_path):
     run(with_batch(config, 4), tmp_path / "one")
     run_two(replace(with_batch(config, 2), strategy=strategy), tmp_path / "two")
@@ -91,6 +93,7 @@ def test_half_the_batch_twice_makes_the_same_weights(config, tmp_path):
     assert_nearly_the_same_run(tmp_path / "whole", tmp_path / "halves", config.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
 def test_processes_that_accumulate_make_the_same_weights(strategy, tmp_path):
     run(with_batch(TOY, 4), tmp_path / "one")
@@ -98,6 +101,7 @@ def test_processes_that_accumulate_make_the_same_weights(strategy, tmp_path):
     assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", TOY.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
 def test_resumed_run_of_two_processes_is_the_same_bit_for_bit(strategy, tmp_path):
     """With dropout, which each process draws for itself."""

@@ -208,11 +208,12 @@ def restore(state: RunState, checkpoint: dict[str, Any], processes: Processes = 
 
 
 def _sharded_optimizer(optimizer: torch.optim.Optimizer, saved: dict[str, Any]) -> dict[str, Any]:
-    """The saved state with each tensor sharded as the parameter is that it belongs to."""
+    """The saved state with each moment sharded as the parameter is that it belongs to."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     state = {
         number: {
-            name: sharded_like(value, parameters[number]) if isinstance(value, Tensor) else value
+            # The optimizer itself knows where it wants its count of steps.
+            name: value.clone() if name == "step" else sharded_like(value, parameters[number])
             for name, value in values.items()
         }
         for number, values in saved["state"].items()

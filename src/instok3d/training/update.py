@@ -8,12 +8,12 @@ import torch
 from torch import nn
 from torch.distributed.tensor import DTensor
 
-from instok3d.data.sample import Sample
+from instok3d.data.sample import Sample, collate
 from instok3d.files import replacing
 from instok3d.training.checkpoint import RunState, WeightAverage
 from instok3d.training.config import TrainConfig
 from instok3d.training.distributed import ALONE, Processes, clip_gradients, gradients_shared
-from instok3d.training.run_log import RunningMeans
+from instok3d.training.run_log import RunningMeans, format_figures
 from instok3d.training.stages import StepLoss
 
 
@@ -114,39 +114,47 @@ def train_step(
                 loss = StepLoss(*loss_of(sample, state.step))
             bad = not loss.total.isfinite()
             if processes.any(bad)[0]:
-                _stop(state, sample if bad else None, folder, loss, processes)
+                _stop(state, part if bad else None, folder, _figures(loss), processes)
             (loss.total / len(parts)).backward()
-        sums.add({"loss": loss.total.item(), **{k: v.item() for k, v in loss.terms.items()}})
+        sums.add(_figures(loss))
+    figures = sums.take()
     trained = [p for p in model.parameters() if p.requires_grad]
     norm = clip_gradients(trained, config.clip_norm, processes)
     if not norm.isfinite():
         state.skipped += 1
         state.skipped_in_a_row += 1
         if state.skipped_in_a_row >= config.max_skipped_in_a_row:
-            _stop(state, sample, folder, loss, processes)
-        return sums.take() | {"skipped": float(state.skipped)}
+            _stop(state, collate(parts), folder, figures, processes)
+        return figures | {"skipped": float(state.skipped)}
     for group in optimizer.param_groups:
         group["lr"] = rate * group.get("lr_factor", 1.0)  # older checkpoints have no factor
     optimizer.step()
     state.average.update(model, state.step)
     state.skipped_in_a_row = 0
-    figures = sums.take() | {"grad_norm": norm.item()}
+    figures["grad_norm"] = norm.item()
     return figures | ({"skipped": float(state.skipped)} if state.skipped else {})
 
 
+def _figures(loss: StepLoss) -> dict[str, float]:
+    return {"loss": loss.total.item(), **{name: v.item() for name, v in loss.terms.items()}}
+
+
 def _stop(
-    state: RunState, sample: Sample | None, folder: Path, loss: StepLoss, processes: Processes
+    state: RunState,
+    bad: Sample | None,
+    folder: Path,
+    figures: dict[str, float],
+    processes: Processes,
 ) -> NoReturn:
-    """Save the batch of this process if it is bad, and raise the same error in all processes."""
+    """Save what is bad in this process, if it is, and raise the same error in all processes."""
     message = None
-    if sample is not None:
+    if bad is not None:
         process = f"_process{processes.rank}" if processes.count > 1 else ""
         path = folder / f"bad_batch_{state.step:08d}{process}.pt"
-        _save_batch(path, state.step, sample)
-        terms = {name: round(value.item(), 6) for name, value in loss.terms.items()}
+        _save_batch(path, state.step, bad)
         message = (
-            f"loss {loss.total.item():.4g} or its gradient is not finite at step {state.step} "
-            f"(terms {terms}); the update was not made, the batch is in {path}"
+            f"the loss or its gradient is not finite at step {state.step} "
+            f"({format_figures(figures)}); the update was not made, the batch is in {path}"
         )
     raise NonFiniteLossError("; ".join(each for each in processes.gather(message) if each))
 
