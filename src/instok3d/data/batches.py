@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 import torch
 
+from instok3d.data.mirror import mirror_sample
 from instok3d.data.photometric import photometric_change
 from instok3d.data.sample import Sample, collate
 from instok3d.data.scenes import SceneSource
@@ -51,6 +52,8 @@ class BatchConfig:
     sample of V views has V / 2 times as many, so that every step renders equally many."""
     photometric: bool = True
     """Change exposure, contrast and white balance scene by scene, and add noise to contexts."""
+    mirror: bool = False
+    """Mirror every other sample, by chance, left to right."""
     sampling: Sampling = "rooms"
     """Which frames make a sample; scannet as in Uni3R, re10k as in C3G (two views)."""
     unit: Unit = "metre"
@@ -203,9 +206,10 @@ class SceneBatches:
             step=step,
         )
         photometric_rng = rng if config.photometric else None
-        return make_sample(
+        sample = make_sample(
             self.source, number, choice, photometric_rng=photometric_rng, unit=config.unit
         )
+        return mirror_sample(sample) if config.mirror and rng.random() < 0.5 else sample
 
 
 def _long_enough(
