@@ -7,17 +7,22 @@ against measured peaks (docs/models.md): never below, at most a quarter above.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
 from instok3d.model.available_memory import available_bytes, resident_bytes
 from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.depth_anything3 import PATCH as DA3_PATCH
+from instok3d.model.backbone.depth_anything3 import SIZES as DA3_SIZES
+from instok3d.model.backbone.depth_anything3 import DepthAnything3Config
 from instok3d.model.backbone.nano import MATCH_STRIDE, NanoConfig
 from instok3d.model.backbone.registry import build_backbone
 from instok3d.model.backbone.vggt.config import VGGTConfig
 from instok3d.model.backbone.vggt.dense_head import IMAGES_AT_ONCE
+from instok3d.model.on_paper import on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000
 """Python, torch and the other libraries of a command, with what they allocate once (CPU only)."""
@@ -27,6 +32,8 @@ CONVOLUTIONS_BYTES = 60_000_000
 """What the library of convolutions keeps for those of the dense heads."""
 LOADING = 2.1
 """While weights are loaded they are there twice: in the model and as they were read."""
+DEPTH_ANYTHING_3 = {"tiny": 684_991, "small": 34_299_463, "base": 135_366_599}
+"""Numbers in its networks."""
 MOST_VIEWS = 512
 """Larger counts are not looked for."""
 FLOAT = 4
@@ -201,19 +208,44 @@ def refuse_beyond(
 def count_parameters(backbone: Any, tokenizer: TokenizerConfig | None) -> tuple[int, int]:
     """Numbers in the whole model and in all but its backbone; no memory is taken for them."""
     network = _on_paper(backbone)
-    below = sum(parameter.numel() for parameter in network.parameters())
     if tokenizer is None:
-        return below, 0
-    with torch.device("meta"):
-        whole = sum(parameter.numel() for parameter in Tokenizer(network, tokenizer).parameters())
-    return whole, whole - below
+        return network.numbers, 0
+    with on_paper():
+        behind = Tokenizer(_Outline(network), tokenizer)
+    own = sum(parameter.numel() for parameter in behind.parameters())
+    return network.numbers + own, own
+
+
+class _Paper(NamedTuple):
+    """What is asked of a backbone."""
+
+    numbers: int
+    """Parameters."""
+    patch_size: int
+    feature_channels: int
+
+
+class _Outline(GeometryBackbone):
+    """Stands in for a backbone where a tokenizer is counted."""
+
+    def __init__(self, paper: _Paper) -> None:
+        super().__init__()
+        self.patch_size, self.feature_channels = paper.patch_size, paper.feature_channels
+
+    def forward(self, views: Views) -> Geometry:
+        raise NotImplementedError("an outline of a backbone cannot be run")
 
 
 @lru_cache
-def _on_paper(backbone: Any) -> GeometryBackbone:
-    """The backbone without memory for its weights."""
-    with torch.device("meta"):
-        return build_backbone(backbone)
+def _on_paper(backbone: Any) -> _Paper:
+    if isinstance(backbone, DepthAnything3Config):
+        # Its package cannot be built without weights.
+        numbers = DEPTH_ANYTHING_3[backbone.size]
+        return _Paper(numbers, DA3_PATCH, DA3_SIZES[backbone.size].width)
+    with on_paper():
+        network = build_backbone(backbone)
+    numbers = sum(parameter.numel() for parameter in network.parameters())
+    return _Paper(numbers, network.patch_size, network.feature_channels)
 
 
 def backbone_activations(config: Any, work: Work) -> Activations:
@@ -267,7 +299,30 @@ def _vggt(config: VGGTConfig, work: Work) -> Activations:
     )
 
 
-_BACKBONES: dict[type, Callable[[Any, Work], Activations]] = {NanoConfig: _nano, VGGTConfig: _vggt}
+def _depth_anything_3(config: DepthAnything3Config, work: Work) -> Activations:
+    """As VGGT, with two maps out of its one dense head: depth and rays."""
+    sizes = DA3_SIZES[config.size]
+    tokens = work.batch * work.views * ((work.height // DA3_PATCH) * (work.width // DA3_PATCH) + 1)
+    values = FLOAT * tokens * sizes.width
+    kept = 2 * len(sizes.outputs) * values
+    at_once = min(work.batch * work.views, IMAGES_AT_ONCE) * work.height * work.width
+    every_image = work.pixels * FLOAT * (12 * sizes.dense_width // 2 + 256)
+    block = (20 * FLOAT + 14 * work.narrow) * tokens * sizes.width
+    return Activations(
+        peak=26 * values
+        + kept
+        + CONVOLUTIONS_BYTES
+        + at_once * FLOAT * (2 * sizes.dense_width + 32),
+        stored=sizes.layers * block + kept + every_image,
+        result=values + _geometry(work),
+    )
+
+
+_BACKBONES: dict[type, Callable[[Any, Work], Activations]] = {
+    NanoConfig: _nano,
+    VGGTConfig: _vggt,
+    DepthAnything3Config: _depth_anything_3,
+}
 
 
 def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) -> Activations:

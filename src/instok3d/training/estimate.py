@@ -1,12 +1,15 @@
 """What a run will cost, from numbers of parameters and tokens: work, time, disk."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import torch
 from torch import nn
 
 from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.model.backbone.depth_anything3 import DepthAnything3Config
 from instok3d.model.memory import Work, predict_peak_bytes, refuse_beyond
+from instok3d.model.on_paper import on_paper
 from instok3d.training.adapt_stage import AdaptStageConfig, new_adapt_model
 from instok3d.training.checkpoint import KEPT
 from instok3d.training.config import TrainConfig
@@ -36,9 +39,11 @@ class Part:
 
 
 def model_on_paper(config: TrainConfig) -> nn.Module:
-    """The run's model without memory for its weights (torch's meta device)."""
+    """The run's model, without memory for its weights where it can be made so."""
     stage = config.stage
-    with torch.device("meta"):
+    # The package of Depth Anything 3 builds on true memory alone.
+    heavy = isinstance(stage.backbone, DepthAnything3Config)
+    with nullcontext() if heavy else on_paper():
         if isinstance(stage, GeometryStageConfig):
             return GeometryStage(stage).build_model()
         if isinstance(stage, AdaptStageConfig):

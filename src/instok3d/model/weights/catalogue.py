@@ -144,8 +144,8 @@ CATALOGUE: tuple[WeightsEntry, ...] = (
         training_data="not published file by file; the licence speaks for the weights alone",
         sha256=None,
     ),
-    _depth_anything("small", 137_000_000),
-    _depth_anything("base", 480_000_000),
+    _depth_anything("small", 137_200_000),
+    _depth_anything("base", 541_500_000),
     _lpips(
         "vgg16",
         member_sha256="2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
