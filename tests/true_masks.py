@@ -103,7 +103,8 @@ class TrueSession:
             name = int(np.bincount(ids[mask]).argmax())
             parts = dict(zip(("left", "right"), _thirds(ids == name), strict=True))
             fitting = [part for part, each in parts.items() if np.array_equal(each, mask)]
-            self.tracks[track] = _Followed(name, fitting[0] if fitting else WHOLE)
+            is_whole = not fitting or np.array_equal(mask, ids == name)
+            self.tracks[track] = _Followed(name, WHOLE if is_whole else fitting[0])
         self.most_tracks = max(self.most_tracks, len(self.tracks))
 
     def forget(self, tracks: Iterable[int]) -> None:

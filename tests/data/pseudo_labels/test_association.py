@@ -217,7 +217,7 @@ def random_damage(clip: TrueClip, seed: int, *, rate: float) -> Damage:
 def test_damaged_tracks_through_a_fake_room_mostly_keep_their_ids():
     scene = fake_scene(seed=0, size=48, num_frames=48)
     clip = TrueClip(np.asarray(scene.images), np.asarray(scene.instances))
-    damage = random_damage(clip, seed=0, rate=0.05)
+    damage = random_damage(clip, seed=0, rate=0.1)
     config = replace(STEP_4, keyframe_step=6)
     labels, _ = labelled(clip, damage, config)
     linked = id_consistency(labels, clip.ids)
@@ -226,7 +226,7 @@ def test_damaged_tracks_through_a_fake_room_mostly_keep_their_ids():
     broken = id_consistency(alone, clip.ids)
     print("id consistency in a damaged fake room", linked, broken)
     assert linked > 0.8
-    assert linked > broken + 0.05
+    assert linked > broken + 0.3
 
 
 @pytest.fixture(scope="module")
@@ -248,9 +248,12 @@ def test_whole_tracks_through_a_rendered_room_keep_every_id(room):
 
 def test_damaged_tracks_through_a_rendered_room_mostly_keep_their_ids(room):
     config = AssociationConfig(keyframe_step=5)
-    scores = [
-        id_consistency(labelled(room, random_damage(room, seed, rate=0.05), config)[0], room.ids)
-        for seed in range(3)
-    ]
-    print("id consistency in a damaged room", scores)
-    assert min(scores) > 0.7
+    scores = []
+    for seed in range(3):
+        damage = random_damage(room, seed, rate=0.05)
+        for settings in (config, replace(config, link_iou=1.0)):
+            scores.append(id_consistency(labelled(room, damage, settings)[0], room.ids))
+    linked, broken = scores[::2], scores[1::2]
+    print("id consistency in a damaged room", linked, broken)
+    assert min(linked) > 0.8
+    assert np.mean(linked) > np.mean(broken) + 0.05
