@@ -111,9 +111,9 @@ def save_checkpoint(
         "scene_names": state.scene_names,
         "config": json.dumps(config),
         "commit": current_commit(),
-        "model": whole(dict(state.model.state_dict())),
-        "optimizer": whole(state.optimizer.state_dict()),
-        "average": whole(state.average.values),
+        "model": whole(dict(state.model.state_dict()), keep=processes.is_first),
+        "optimizer": whole(state.optimizer.state_dict(), keep=processes.is_first),
+        "average": whole(state.average.values, keep=processes.is_first),
         "random": processes.gather(_random_state()),
     }
     if not processes.is_first:

@@ -175,25 +175,31 @@ def clip_gradients(
             parameter.grad /= processes.count
     kinds = [kind for kind in (sharded, plain) if any(p.grad is not None for p in kind)]
     norms = [
-        whole(nn.utils.get_total_norm([p.grad for p in kind if p.grad is not None]))
-        for kind in kinds
+        nn.utils.get_total_norm([p.grad for p in kind if p.grad is not None]) for kind in kinds
     ]
-    norm = torch.stack(norms).norm()
+    norm = torch.stack([n.full_tensor() if isinstance(n, DTensor) else n for n in norms]).norm()
     for kind in kinds:
         nn.utils.clip_grads_with_norm_(kind, max_norm, norm)
     return norm
 
 
-def whole(value: Any) -> Any:
-    """Nested dictionaries and lists with every shard replaced by its whole tensor.
+def whole(value: Any, *, keep: bool) -> Any:
+    """Nested dictionaries and lists with every shard replaced by its whole tensor on the CPU.
 
-    All processes must ask for it at the same time.
+    All processes must ask for it at the same time. One tensor at a time is whole on the device.
+
+    Args:
+        value: Dictionaries, lists, tensors and anything else.
+        keep: False in a process that only takes part: it gets empty tensors for shards.
     """
     if isinstance(value, dict):
-        return {key: whole(each) for key, each in value.items()}
+        return {key: whole(each, keep=keep) for key, each in value.items()}
     if isinstance(value, list):
-        return [whole(each) for each in value]
-    return value.full_tensor() if isinstance(value, DTensor) else value
+        return [whole(each, keep=keep) for each in value]
+    if not isinstance(value, DTensor):
+        return value
+    gathered = value.full_tensor()
+    return gathered.cpu() if keep else torch.empty(0)
 
 
 def local(tensor: Tensor) -> Tensor:

@@ -239,7 +239,7 @@ def averaged_model(run: Run) -> Iterator[nn.Module | None]:
     with torch.random.fork_rng([device] if device.type == "cuda" else []):
         if config.strategy == "fsdp" and processes.count > 1:
             average = state.average.values if config.ema_decay else {}
-            weights = whole({**state.model.state_dict(), **average})
+            weights = whole({**state.model.state_dict(), **average}, keep=processes.is_first)
             if not processes.is_first:
                 yield None
                 return
