@@ -30,7 +30,14 @@ def command_lines(text: str) -> list[list[str]]:
     return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
 
 
-OURS = [words[1:] for words in command_lines(README) if words[0] == "instok3d"]
+def our_words(words: list[str]) -> list[str] | None:
+    """What follows `instok3d`, or `torchrun ... -m instok3d`; None for commands of others."""
+    if words[0] == "torchrun":
+        words = words[words.index("-m") + 1 :]
+    return words[1:] if words[0] == "instok3d" else None
+
+
+OURS = [ours for words in command_lines(README) if (ours := our_words(words)) is not None]
 
 
 def test_first_result_and_tests_are_two_commands_each():
