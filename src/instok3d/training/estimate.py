@@ -142,6 +142,7 @@ def training_memory_bytes(config: TrainConfig, model: nn.Module, height: int, wi
         frozen_backbone=isinstance(stage, TokenizerStageConfig) and stage.freeze_backbone,
         targets=targets_of(config, views),
         lpips=not isinstance(stage, GeometryStageConfig) and stage.lpips_weight > 0,
+        cached_geometry=isinstance(stage, TokenizerStageConfig) and stage.cache is not None,
     )
     tokenizer = stage.tokenizer if isinstance(stage, TokenizerStageConfig) else None
     total = predict_peak_bytes(stage.backbone, tokenizer, work)
