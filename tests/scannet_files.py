@@ -2,7 +2,9 @@
 
 import io
 import json
+import struct
 import tarfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -113,6 +115,13 @@ def as_tar(folder: Path) -> Path:
     with tarfile.open(path, "w") as archive:
         archive.add(folder, folder.name)
     return path
+
+
+def huge_png() -> bytes:
+    """A PNG whose header says 60,000 x 60,000 pixels."""
+    header = b"IHDR" + struct.pack(">II5B", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+    return b"\x89PNG\r\n\x1a\n" + chunk
 
 
 def png_bytes(pixels: np.ndarray) -> bytes:

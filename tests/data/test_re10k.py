@@ -2,6 +2,7 @@ import io
 import json
 import math
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,19 @@ def test_truncated_chunks_are_refused(tmp_path, keep):
     data = (tmp_path / "whole.torch").read_bytes()
     length = keep if isinstance(keep, int) else int(keep * len(data))
     (tmp_path / "cut.torch").write_bytes(data[:length])
+    with pytest.raises(ValueError, match=r"cut\.torch is (cut off|refused)"):
+        read_chunk(tmp_path / "cut.torch")
+
+
+def test_a_chunk_whose_list_is_cut_is_refused(tmp_path):
+    torch.save([clip()], tmp_path / "whole.torch")
+    with (
+        zipfile.ZipFile(tmp_path / "whole.torch") as whole,
+        zipfile.ZipFile(tmp_path / "cut.torch", "w") as cut,
+    ):
+        for name in whole.namelist():
+            # An unpickler that was promised four bytes of length and gets one.
+            cut.writestr(name, b"\x80\x02X\x05" if "data.pkl" in name else whole.read(name))
     with pytest.raises(ValueError, match=r"cut\.torch is (cut off|refused)"):
         read_chunk(tmp_path / "cut.torch")
 

@@ -9,6 +9,7 @@ import io
 import json
 import math
 import pickle
+import struct
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from instok3d.data.cropping import crop_image
 from instok3d.data.pixel_map import PixelMap, fit_pixels
@@ -37,6 +38,11 @@ _FRAME_BYTES = 45_000  # of a JPEG of 640 x 360
 _CLIP_FRAMES = 150
 _PARTS = ("train", "test")
 _IMAGE_ENDINGS = (".jpg", ".png", ".jpeg")
+# What torch.load lets through from a damaged file.
+_UNREADABLE = (
+    RuntimeError, EOFError, OSError, ValueError, TypeError, AttributeError, LookupError,
+    zipfile.BadZipFile, struct.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -129,7 +135,7 @@ def read_chunk(path: Path) -> dict[str, Re10kClip]:
             f"{path} is refused: it holds more than tensors, lists and dictionaries, or is cut "
             "off; fetch the chunk again from a source you trust"
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, IndexError) as error:
+    except _UNREADABLE as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(
             f"{path} is cut off or no .torch file ({reason}); fetch it again"
@@ -270,7 +276,7 @@ def _decoded(data: bytes | Path, number: int) -> Image.Image:
         )
         size = image.size
         image.load()
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"the picture of frame {number} is damaged ({error})") from error
     if size != (WIDTH, HEIGHT):
         raise LeftOutError(f"pictures that are not {WIDTH} x {HEIGHT}")

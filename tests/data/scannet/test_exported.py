@@ -6,7 +6,7 @@ import pytest
 
 from instok3d.data.prepared import DroppedFrame, PreparedFrame
 from instok3d.data.scannet.exported import FileTree, lsm_frames, processed_frames
-from scannet_files import as_tar, depth_mm, id_map, write_lsm, write_processed
+from scannet_files import as_tar, depth_mm, huge_png, id_map, write_lsm, write_processed
 
 SCAN = "scene0000_00"
 CROP = (slice(1, None, 2), slice(9, 57, 2))
@@ -91,9 +91,12 @@ POSE, WIDE = np.eye(4), np.array([[1156.0, 0, 640], [0, 1156, 480], [0, 0, 1]])
         ("pose/000000.npz", b"no zip", "is damaged or lacks"),
         ("pose/000000.npz", pickled_npz(), "is damaged or lacks"),
         ("pose/000000.npz", saved(camera_pose=POSE), "is damaged or lacks"),
+        ("pose/000000.npz", saved(camera_pose=POSE)[:-30], "is damaged or lacks"),
+        ("pose/000000.npz", saved(camera_pose=POSE).replace(b"\0\xf0\x3f", b"123"), "lacks"),
         ("pose/000000.npz", saved(camera_pose=POSE, camera_intrinsics=np.eye(2)), "shape"),
         ("pose/000000.npz", saved(camera_pose=POSE, camera_intrinsics=WIDE), "another resolution"),
         ("color/000000.png", b"no picture", "is damaged"),
+        ("color/000000.png", huge_png(), "is damaged"),
         ("depth/000000.png", b"no picture", "damaged or no PNG"),
     ],
 )

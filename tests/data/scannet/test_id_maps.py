@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from instok3d.data.scannet.id_maps import IdMaps, largest_instance, read_id_png, write_id_maps
-from scannet_files import id_map, png_bytes
+from scannet_files import huge_png, id_map, png_bytes
 
 SIZE = (6, 8)
 
@@ -77,10 +77,30 @@ def test_a_damaged_map_is_named(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
+    ("at", "patch", "message"),
+    [
+        (6, b"\xff\x00", "damaged or no zip archive"),  # needs version 25.5
+        (8, b"\x01\x00", r"0\.png is damaged"),  # encrypted
+        (10, b"\x63\x00", r"0\.png is damaged"),  # compressed in another way
+    ],
+)
+def test_an_archive_of_another_kind_is_refused(tmp_path: Path, at: int, patch: bytes, message: str):
+    path = tmp_path / "a.zip"
+    write_id_maps(path, "label-filt", {0: id_map(0, SIZE)})
+    data = bytearray(path.read_bytes())
+    start = data.index(b"PK\x01\x02") + at
+    data[start : start + 2] = patch
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=message), IdMaps(path, "label-filt") as maps:
+        maps.read(0)
+
+
+@pytest.mark.parametrize(
     ("data", "message"),
     [
         (b"", "damaged or no PNG"),
         (b"GIF89a", "damaged or no PNG"),
+        (huge_png(), "damaged or no PNG"),
         (png_bytes(np.zeros((4, 4, 3), np.uint8)), "RGB pixels, wanted"),
     ],
 )

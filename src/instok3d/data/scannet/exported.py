@@ -1,7 +1,10 @@
 """ScanNet as others have exported it: Uni3R's scannet_processed and LSM's test scenes."""
 
 import io
+import struct
 import tarfile
+import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -21,6 +24,12 @@ from instok3d.data.scannet.export import (
 )
 from instok3d.data.scannet.id_maps import read_id_png
 from instok3d.data.scannet.sens import half_pixel_intrinsics
+
+# What NumPy lets through from a damaged .npz file; unknown forms of zip are RuntimeErrors.
+_UNREADABLE = (
+    OSError, EOFError, ValueError, KeyError, TypeError, RuntimeError,
+    zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
 
 
 class FileTree:
@@ -163,7 +172,7 @@ def _cameras(
         with np.load(io.BytesIO(tree.read(name)), allow_pickle=False) as arrays:
             pose = np.array(arrays["camera_pose"], dtype=np.float64).reshape(4, 4)
             intrinsics = np.array(arrays["camera_intrinsics"], dtype=np.float64)[:3, :3]
-    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
+    except _UNREADABLE as error:
         raise ValueError(
             f"{what} is damaged or lacks camera_pose or camera_intrinsics ({error})"
         ) from error
@@ -176,7 +185,7 @@ def _image(data: bytes, what: str) -> Image.Image:
     try:
         image = Image.open(io.BytesIO(data), formats=["JPEG", "PNG"])
         image.load()
-    except (OSError, SyntaxError, EOFError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"{what} is damaged ({error}); download it again") from error
     return image
 

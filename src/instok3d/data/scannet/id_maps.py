@@ -39,7 +39,7 @@ class IdMaps:
         self.path = path
         try:
             self._archive = zipfile.ZipFile(path)
-        except zipfile.BadZipFile as error:
+        except (zipfile.BadZipFile, NotImplementedError) as error:
             raise ValueError(
                 f"{path} is damaged or no zip archive ({error}); download it again"
             ) from error
@@ -74,7 +74,8 @@ class IdMaps:
         name = self._members[frame]
         try:
             data = self._archive.read(name)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
+        # A RuntimeError is an encrypted map or an unknown compression.
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
             raise ValueError(
                 f"{self.path}: {name} is damaged ({error}); download it again"
             ) from error
@@ -94,7 +95,7 @@ def read_id_png(data: bytes, what: str) -> UInt16[np.ndarray, "height width"]:
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
             mode, pixels = image.mode, np.asarray(image)
-    except (OSError, SyntaxError, EOFError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"{what} is damaged or no PNG ({error})") from error
     if mode not in ("L", "I;16", "I") or pixels.max(initial=0) > 65535:
         raise ValueError(f"{what} has {mode} pixels, wanted 8-bit or 16-bit ids")

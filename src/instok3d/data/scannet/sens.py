@@ -98,7 +98,7 @@ class SensFile:
         try:
             image = Image.open(io.BytesIO(data), formats=["JPEG"])
             image.load()
-        except (OSError, SyntaxError, ValueError) as error:
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             raise ValueError(
                 f"{self.path}: the JPEG of frame {number} (byte {frame.color_start}) is damaged "
                 f"({error}); download the scan again"
