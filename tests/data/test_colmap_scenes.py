@@ -147,3 +147,13 @@ def test_real_cameras_of_garden_survive(shared, tmp_path):
     ]  # fmt: skip
     assert scene.intrinsics is not None
     assert scene.intrinsics[2] == pytest.approx(np.array(expected))
+
+
+def test_another_scene_of_the_same_name_is_refused_instead_of_skipped(tmp_path):
+    write_scene(tmp_path / "a/dense", ["0.png", "1.png"])
+    write_scene(
+        tmp_path / "b/dense", ["0.png", "1.png"], {1: ("PINHOLE", 160, 120, [90, 90, 80, 60])}
+    )
+    prepared(ColmapSource(tmp_path / "a/dense", size=32), tmp_path / "out")
+    with pytest.raises(ValueError, match=r"scene dense with settings\.origin '2 files"):
+        plan_preparation(ColmapSource(tmp_path / "b/dense", size=32).jobs(), tmp_path / "out")

@@ -135,3 +135,26 @@ def test_real_posed_depth_of_two_frames_agrees(shared, tmp_path):
     error = (there - moved[inside, 2])[there > 0].abs()
     assert torch.median(error) < 0.03
     assert inside.float().mean() > 0.7
+
+
+def test_other_footage_of_the_same_name_is_refused_instead_of_skipped(tmp_path):
+    kitchen = FootageSource(write_photos(tmp_path / "kitchen/images", 3), size=16)
+    prepared(kitchen, tmp_path / "out")
+    assert plan_preparation(kitchen.jobs(), tmp_path / "out").jobs == ()
+    bedroom = write_photos(tmp_path / "bedroom/images", 3, (48, 30))
+    with pytest.raises(ValueError, match=r"scene images with settings\.origin '3 files"):
+        plan_preparation(FootageSource(bedroom, size=16).jobs(), tmp_path / "out")
+    named = FootageSource(bedroom, name="bedroom", size=16)
+    assert prepared(named, tmp_path / "out").scenes == 1
+
+
+def test_the_same_photos_with_other_cameras_or_ids_are_another_scene(tmp_path):
+    photos, masks = write_photos(tmp_path / "kitchen", 2), write_ids(tmp_path / "masks", 2)
+    cameras = write_transforms(tmp_path / "transforms.json", 2)
+    source = FootageSource(photos, masks, cameras)
+    (before,) = source.jobs()
+    cameras.write_text(cameras.read_text().replace('"fl_x": 35.0', '"fl_x": 36.0'))
+    (turned,) = source.jobs()
+    Image.fromarray(np.arange(1200, dtype=np.uint16).reshape(30, 40)).save(masks / "shot 0.png")
+    (relabelled,) = source.jobs()
+    assert len({str(job.info.settings) for job in (before, turned, relabelled)}) == 3

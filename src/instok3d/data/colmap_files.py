@@ -73,6 +73,18 @@ def is_model(folder: Path) -> bool:
     return _suffix(folder) is not None
 
 
+def model_files(folder: Path) -> tuple[Path, Path]:
+    """COLMAP's cameras and images files in a folder; the binary ones if both forms exist.
+
+    Raises:
+        FileNotFoundError: The folder holds no model.
+    """
+    suffix = _suffix(folder)
+    if suffix is None:
+        raise FileNotFoundError(f"{folder} lacks COLMAP's cameras and images files")
+    return folder / f"cameras{suffix}", folder / f"images{suffix}"
+
+
 def read_model(folder: Path) -> list[ColmapImage]:
     """The registered photos of a folder, sorted by name; the binary files are taken if both exist.
 
@@ -80,12 +92,9 @@ def read_model(folder: Path) -> list[ColmapImage]:
         FileNotFoundError: The folder holds no model.
         ValueError: A file is cut off, malformed, or an image has a camera that is not there.
     """
-    suffix = _suffix(folder)
-    if suffix is None:
-        raise FileNotFoundError(f"{folder} lacks COLMAP's cameras and images files")
-    cameras_file, images_file = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    cameras_file, images_file = model_files(folder)
     try:
-        if suffix == ".bin":
+        if cameras_file.suffix == ".bin":
             cameras = _cameras_from_bytes(cameras_file.read_bytes())
             images = _images_from_bytes(images_file.read_bytes(), cameras)
         else:

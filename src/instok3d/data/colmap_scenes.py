@@ -10,7 +10,7 @@ from instok3d.data import colmap_files
 from instok3d.data.camera_files import read_cameras
 from instok3d.data.image_decoding import own_pixel_limit
 from instok3d.data.image_files import IMAGE_SUFFIXES
-from instok3d.data.posed_photos import PhotoFiles, prepared_photo
+from instok3d.data.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.data.preparation import Frames, SceneJob, estimate_bytes
 from instok3d.data.prepared import Dataset, DroppedFrame, SceneInfo, Split
 
@@ -62,10 +62,11 @@ class ColmapSource:
             raise FileNotFoundError(
                 f"the scene {scene} has no folder {self.images} of photos; name it with --images"
             )
-        settings = {"size": self.size, "images": self.images}
+        there = sorted(p for p in photos.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+        origin = origin_of(there, *(f.read_bytes() for f in colmap_files.model_files(model)))
+        settings = {"size": self.size, "images": self.images, "origin": origin}
         info = SceneInfo(scene.absolute().name, self.dataset, self.split, "arbitrary", settings)
-        count = sum(path.suffix.lower() in IMAGE_SUFFIXES for path in photos.rglob("*"))
-        estimate = estimate_bytes(count, self.size, self.size, ("images",))
+        estimate = estimate_bytes(len(there), self.size, self.size, ("images",))
         return SceneJob(info, estimate, partial(colmap_frames, model, photos, self.size))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from instok3d.data.camera_files import CameraSet
 from instok3d.data.captures import find_photos_and_cameras
 from instok3d.data.image_decoding import own_pixel_limit
-from instok3d.data.posed_photos import PhotoFiles, prepared_photo
+from instok3d.data.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.data.preparation import SceneJob, estimate_bytes
 from instok3d.data.prepared import PreparedFrame, SceneInfo, Split
 
@@ -28,7 +28,7 @@ class FootageSource:
     cameras: Path | None = None
     """COLMAP folder, transforms.json, or scene.json (with depth); every photo must be there."""
     name: str | None = None
-    """Of the scene; that of the folder if not given."""
+    """Of the scene; that of the folder if not given. Scenes of one folder need different names."""
     size: int = 256
     """Height and width of the prepared frames."""
     split: Split = "train"
@@ -47,12 +47,20 @@ class FootageSource:
         files = _files_of(photos, cameras, self.masks)
         layers = ["images"]
         layers += ["depths"] * files[0].with_depth + ["instances"] * (self.masks is not None)
-        settings = {"size": self.size, "layers": layers, "cameras": cameras is not None}
+        settings = {"size": self.size, "layers": layers, "cameras": cameras is not None,
+                    "origin": _origin(files)}  # fmt: skip
         unit = "metre" if cameras is not None and cameras.units == "metres" else "arbitrary"
         name = self.name or self.folder.expanduser().absolute().stem
         info = SceneInfo(name, "footage", self.split, unit, settings)
         estimate = estimate_bytes(len(files), self.size, self.size, layers)
         return [SceneJob(info, estimate, partial(_frames, files, self.size))]
+
+
+def _origin(files: Sequence[PhotoFiles]) -> str:
+    maps = [file.ids for file in files if file.ids is not None]
+    cameras = [file.camera for file in files if file.camera is not None]
+    numbers = [(c.intrinsics.tolist(), c.cam_from_world.tolist()) for c in cameras]
+    return origin_of([file.photo for file in files] + maps, repr(numbers).encode())
 
 
 def _files_of(

@@ -1,6 +1,8 @@
 """One photo with its camera as a frame of a prepared scene: cropped, undistorted, ids and depth."""
 
+import hashlib
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,6 +40,20 @@ class PhotoFiles:
     """Map of instance ids, 8 or 16 bits, of the photo's size."""
     with_depth: bool = False
     """Whether the scene has depth; a photo without then gets zeros."""
+
+
+def origin_of(photos: Iterable[Path], *others: bytes) -> str:
+    """What a scene is made of, to tell it from another of its name.
+
+    Args:
+        photos: Their names and sizes count; none is read.
+        others: What else goes in, such as cameras.
+    """
+    sizes = [(photo.name, photo.stat().st_size) for photo in photos]
+    digest = hashlib.sha256(repr(sizes).encode())
+    for data in others:
+        digest.update(hashlib.sha256(data).digest())
+    return f"{len(sizes)} files, {digest.hexdigest()[:12]}"
 
 
 def prepared_photo(files: PhotoFiles, size: int) -> PreparedFrame:
