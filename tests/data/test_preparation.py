@@ -48,6 +48,11 @@ def slow_frames(started: Path) -> Iterator[PreparedFrame]:
         yield made_frame(number)
 
 
+def frames_during_another_run(folder: Path) -> Iterator[PreparedFrame]:
+    run([job("z")], folder)
+    yield made_frame(0)
+
+
 def job(name: str, frames: Callable = some_frames, *arguments, **settings) -> SceneJob:
     info = SceneInfo(name, "scannet", "train", "metre", settings)
     return SceneJob(info, 1000, partial(frames, *(arguments or (3,))))
@@ -105,7 +110,7 @@ def test_a_scene_that_fails_is_reported_and_the_others_go_on(
     report = run([job("a", some_frames, 2, fault), job("b")], tmp_path)
     assert report.failed == {"a": reason}
     assert report.scenes == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["b", "scenes.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "b", "scenes.json"]
     assert run([job("a"), job("b")], tmp_path).scenes == 1  # and can be made later
 
 
@@ -127,7 +132,7 @@ def test_a_disk_that_becomes_full_stops_everything(tmp_path: Path):
     jobs = [job("a", some_frames, 1, OSError(errno.ENOSPC, "full")), job("b")]
     with pytest.raises(OSError, match="full"):
         run(jobs, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["scenes.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "scenes.json"]
 
 
 def test_a_killed_worker_is_said_to_be_one(tmp_path: Path):
@@ -172,7 +177,7 @@ def test_an_interrupt_leaves_whole_scenes_only(tmp_path: Path):
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=100)
     assert b"KeyboardInterrupt" in errors
-    assert sorted(path.name for path in out.iterdir()) == ["a", "scenes.json"]
+    assert sorted(path.name for path in out.iterdir()) == [".lock", "a", "scenes.json"]
     assert list(verify(out)) == []
 
 
@@ -185,6 +190,13 @@ def test_a_killed_run_takes_its_workers_along_and_can_be_finished(tmp_path: Path
     assert {fault.path for fault in verify(out)} <= {".b.part", ".c.part"}
     run([job("a"), job("b"), job("c")], out)
     assert list(verify(out)) == []
+
+
+def test_two_runs_do_not_prepare_into_one_folder(tmp_path: Path):
+    report = run([job("a", frames_during_another_run, tmp_path)], tmp_path)
+    assert "another run is preparing" in report.failed["a"]
+    assert run([job("a"), job("z")], tmp_path).scenes == 2
+    assert list(verify(tmp_path)) == []
 
 
 def test_scenes_of_other_settings_are_not_mixed(tmp_path: Path):

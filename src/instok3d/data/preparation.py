@@ -4,6 +4,7 @@ A reader of a data set only lists its scenes as `SceneJob`; everything else happ
 """
 
 import errno
+import fcntl
 import json
 import multiprocessing
 import os
@@ -33,6 +34,8 @@ from instok3d.data.prepared import (
 )
 from instok3d.data.prepared.format import RECORD
 
+LOCK = ".lock"
+"""Held by the run that prepares scenes into a folder; the file stays, the lock ends with it."""
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 BYTES_PER_PIXEL = {"images": 1.6, "depths": 1.2, "instances": 0.05, "labels": 0.05}
 """Of the PNG files of indoor scenes, rounded up."""
@@ -152,8 +155,8 @@ def plan_preparation(jobs: Sequence[SceneJob], folder: Path) -> PreparationPlan:
 def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -> PreparationReport:
     """Prepare all scenes of a plan; one that fails is reported and the others go on.
 
-    It can be stopped at any time: scenes appear whole, and a new plan holds the rest. One process
-    at a time may prepare the same scenes.
+    It can be stopped at any time: scenes appear whole, and a new plan holds the rest. One run at a
+    time may prepare scenes into a folder.
 
     Args:
         plan: Of `plan_preparation`.
@@ -162,7 +165,7 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
 
     Raises:
         OSError: The disk is or would become full (errno ENOSPC).
-        ValueError: workers is below 1.
+        ValueError: workers is below 1, or another run is preparing into the folder.
     """
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
@@ -174,6 +177,11 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
             str(plan.folder),
         )
     plan.folder.mkdir(parents=True, exist_ok=True)
+    with _alone_in(plan.folder):
+        return _prepare(plan, workers, progress)
+
+
+def _prepare(plan: PreparationPlan, workers: int, progress: bool) -> PreparationReport:
     report = PreparationReport(skipped=plan.skipped)
     bar = tqdm(total=len(plan.jobs) + plan.skipped, initial=plan.skipped, unit="scene",
                disable=not progress)  # fmt: skip
@@ -189,6 +197,20 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
     finally:
         refresh_index(plan.folder)
     return report
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep other runs out: two would write into each other's unfinished scenes."""
+    with (folder / LOCK).open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ValueError(
+                f"another run is preparing scenes into {folder}; wait for its end, or choose "
+                "another folder"
+            ) from error
+        yield
 
 
 def _is_done(info: SceneInfo, folder: Path) -> bool:
