@@ -4,9 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,51 +13,12 @@ from instok3d.data import preparation
 from instok3d.data.preparation import (
     SPLIT_RULE,
     LeftOutError,
-    SceneJob,
     estimate_bytes,
     plan_preparation,
     prepare,
 )
-from instok3d.data.prepared import DroppedFrame, PreparedFrame, SceneInfo, read_index, verify
-from prepared_scenes import made_frame
-
-
-def some_frames(
-    count: int, fault: Exception | None = None
-) -> Iterator[PreparedFrame | DroppedFrame]:
-    yield made_frame(0)
-    yield DroppedFrame("x", "no pose")
-    if fault is not None:
-        raise fault
-    for number in range(1, count):
-        yield made_frame(number)
-
-
-def killing_frames(signal_number: int) -> Iterator[PreparedFrame]:
-    yield made_frame(0)
-    os.kill(os.getpid(), signal_number)
-    time.sleep(60)
-
-
-def slow_frames(started: Path) -> Iterator[PreparedFrame]:
-    started.touch()
-    for number in range(10_000):
-        time.sleep(0.01)
-        yield made_frame(number)
-
-
-def frames_during_another_run(folder: Path) -> Iterator[PreparedFrame]:
-    run([job("z")], folder)
-    yield made_frame(0)
-
-
-def job(name: str, frames: Callable = some_frames, *arguments, **settings) -> SceneJob:
-    info = SceneInfo(name, "scannet", "train", "metre", settings)
-    return SceneJob(info, 1000, partial(frames, *(arguments or (3,))))
-
-
-def run(jobs: list[SceneJob], folder: Path, workers: int = 1):
-    return prepare(plan_preparation(jobs, folder), workers=workers, progress=False)
+from instok3d.data.prepared import read_index, verify
+from scene_jobs import frames_during_another_run, job, killing_frames, run, some_frames
 
 
 def test_the_report_counts_what_came_and_the_index_lists_it(tmp_path: Path):
@@ -144,15 +103,15 @@ def test_a_killed_worker_is_said_to_be_one(tmp_path: Path):
 
 def started_program(tmp_path: Path) -> subprocess.Popen[bytes]:
     """A program that prepares scenes b and c in two processes, and has begun to."""
-    here = Path(__file__).resolve()
+    tests = Path(__file__).resolve().parents[1]
     started, out = tmp_path / "started", tmp_path / "out"
     (tmp_path / "program.py").write_text(
         f"""
 import sys
 from pathlib import Path
-sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1])!r}]
+sys.path.insert(0, {str(tests)!r})
 if __name__ == "__main__":
-    from test_preparation import job, run, slow_frames
+    from scene_jobs import job, run, slow_frames
     started = Path({str(started)!r})
     run([job("a"), job("b", slow_frames, started), job("c", slow_frames, started)],
         Path({str(out)!r}), workers=2)
