@@ -85,18 +85,31 @@ def test_a_new_refinement_changes_nothing(rng, views):
     torch.testing.assert_close(refined.pointmaps, plain.pointmaps)
 
 
-def test_gradient_reaches_the_refinement_and_nothing_else(rng):
+def test_gradient_reaches_the_refinement_and_the_depth_that_it_corrects(rng):
     torch.manual_seed(0)
     backbone = NanoBackbone(TINY)
     assert backbone.refinement is not None
     torch.nn.init.normal_(backbone.refinement.correct.weight)
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
+    geometry = backbone(views)
+    (geometry.depths.square().sum() + geometry.confidences.sum()).backward()
+    moved = {name.split(".")[0] for name, p in backbone.named_parameters() if p.grad is not None}
+    assert {"refinement", "to_coarse_depth", "to_fine_depth"} <= moved
+    assert not moved & {"to_descriptor", "to_focal", "log_sharpness"}
+    assert all(p.grad is not None for p in backbone.refinement.parameters())
+
+
+def test_what_the_refinement_looks_at_is_not_differentiated(rng):
+    torch.manual_seed(0)
+    backbone = NanoBackbone(TINY)
+    assert backbone.refinement is not None
+    torch.nn.init.normal_(backbone.refinement.correct.weight, std=0.01)
+    views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
     refined = backbone.refine(raw, backbone.intrinsics(views, raw), backbone.find_matches(raw))
-    (refined.log_depths.square().sum() + refined.log_confidences.sum()).backward()
-    moved = {name.split(".")[0] for name, p in backbone.named_parameters() if p.grad is not None}
-    assert moved == {"refinement"}
-    assert all(p.grad is not None for p in backbone.refinement.parameters())
+    assert not torch.equal(refined.log_depths, raw.log_depths)
+    (slope,) = torch.autograd.grad(refined.log_depths.sum(), raw.log_depths)
+    assert torch.equal(slope, torch.ones_like(slope))
 
 
 def test_refining_without_a_refinement_is_an_error(rng):

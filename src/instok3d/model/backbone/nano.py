@@ -209,21 +209,25 @@ class NanoBackbone(GeometryBackbone):
     ) -> RefinedDepth:
         """Depth after a look at the parallax of the matches.
 
-        Differentiable in the weights of the refinement alone.
+        Differentiable in the weights of the refinement and in the depth and confidence that it
+        corrects, not in what it looks at.
 
         Raises:
             ValueError: The backbone has no refinement.
         """
         if self.refinement is None:
             raise ValueError("this backbone has no refinement: its refinement_layers is 0")
-        log_depths = raw.log_depths.detach().float()
-        log_confidences = raw.log_confidences.detach().float()
-        with torch.autocast(log_depths.device.type, enabled=False):
-            depths, intrinsics = log_depths.exp(), intrinsics.detach()
+        log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
+        with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
+            depths = log_depths.exp()
             b_from_a = solve_pairs(matches, depths, intrinsics)
             evidence = gather_evidence(matches, b_from_a, depths, intrinsics)
         deeper, surer = self.refinement(
-            evidence, log_depths, log_confidences, raw.features.detach(), raw.quarter.detach()
+            evidence,
+            log_depths.detach(),
+            log_confidences.detach(),
+            raw.features.detach(),
+            raw.quarter.detach(),
         )
         return RefinedDepth(
             (log_depths + deeper).clamp(-4, 4), (log_confidences + surer).clamp(-4, 6)
