@@ -1,4 +1,5 @@
 import io
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,14 @@ def test_a_cut_tar_is_refused(tmp_path: Path):
         archive.write_bytes(data[:end])
         with pytest.raises(ValueError, match=r"damaged|cut off"):
             read_all(archive)
+    archive.write_bytes(data)
+    with tarfile.open(archive) as whole:
+        headers = [member.offset for member in whole]
+    for header in headers[1:]:  # tarfile takes these for the end
+        for end in (header, header + 100):
+            archive.write_bytes(data[:end])
+            with pytest.raises(ValueError, match="cut off"):
+                read_all(archive)
     archive.write_bytes(b"no tar at all" * 100)
     with pytest.raises(ValueError, match="damaged or no tar file"):
         FileTree(archive)

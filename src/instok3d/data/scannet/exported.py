@@ -79,6 +79,10 @@ class FileTree:
             members = [member for member in self._tar if member.isfile()]
         except (tarfile.TarError, EOFError) as error:
             raise ValueError(f"{self.root} is damaged or no tar file ({error})") from error
+        with self.root.open("rb") as stream:
+            stream.seek(-tarfile.BLOCKSIZE, io.SEEK_END)
+            if any(stream.read()):  # tarfile takes an archive cut between two files for whole
+                raise ValueError(f"{self.root} is cut off: its end is missing; download it again")
         paths = {member.name.removeprefix("./"): member for member in members}
         self._members = {
             name.removeprefix(self._below): member
