@@ -14,6 +14,7 @@ from instok3d.data.pseudo_labels import writing
 from instok3d.data.pseudo_labels.association import AssociationConfig
 from instok3d.data.pseudo_labels.writing import LabelConfig, footage_clip, label, scene_clip
 from prepared_scenes import made_folder
+from scannet_files import huge_png
 from true_masks import TrueClip, TrueMasks, boxes_clip
 
 CONFIG = LabelConfig(AssociationConfig(keyframe_step=2, min_area_share=0.0))
@@ -138,8 +139,9 @@ def test_a_folder_of_something_else_is_never_replaced(tmp_path):
     assert (tmp_path / "a.png").is_file()
 
 
-def test_a_picture_that_cannot_be_read_is_named(tmp_path):
-    (tmp_path / "a.png").write_bytes(b"no picture")
+@pytest.mark.parametrize("data", [b"no picture", huge_png()])
+def test_a_picture_that_cannot_be_read_is_named(tmp_path, data: bytes):
+    (tmp_path / "a.png").write_bytes(data)
     clip = footage_clip([tmp_path / "a.png"], tmp_path / "ids")
     with pytest.raises(ValueError, match=r"a\.png cannot be read as a picture"):
         label(clip, TrueMasks(boxes_clip([{}])), CONFIG)

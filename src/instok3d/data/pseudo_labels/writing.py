@@ -200,7 +200,7 @@ def _images(
         try:
             with Image.open(path) as image:
                 picture = ImageOps.exif_transpose(image).convert("RGB")
-        except (OSError, SyntaxError, ValueError) as error:
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             raise ValueError(f"{path} cannot be read as a picture: {error}") from error
         sizes.append(picture.size)
         scale = max_side / max(picture.size)
