@@ -1,22 +1,23 @@
 #!/usr/bin/env bash
-# The default model from nothing: rooms, geometry, tokenizer, export, figures.
+# The default model from nothing: rooms, geometry, refinement, tokenizer, export, figures.
 #
 #     bash runs/default_model.sh FOLDER
 #
 # Everything goes into FOLDER, the model into FOLDER/default_model.safetensors. Stop it at any time
 # and run it again: finished rooms are kept and training goes on from the newest checkpoint.
-# Times on one core of an Intel Xeon with AMX: rooms 0.3 h, geometry 0.8 h, tokenizer 0.7 h,
-# evaluation 0.2 h. The shipped model is this recipe, not these bits: its geometry run took in more
-# rooms on the way (--add-scenes), and its tokenizer run was ended at step 2,946.
+# Times on one core of an Intel Xeon with AMX: rooms 1.1 h, geometry 2 h, refinement 0.3 h,
+# tokenizer 1.6 h, evaluation 0.2 h. The shipped model is this recipe, not these bits: its runs took
+# in more rooms on the way and were begun anew from each other's weights (docs/models.md).
 set -euo pipefail
 
 folder=${1:?"give the folder for rooms, runs and the model"}
-train_seeds=0:384
+train_seeds=0:2064
 test_seeds=2000000:2000100
 workers=2
 seed=0
-geometry_steps=3600
-tokenizer_steps=3200
+geometry_steps=10000
+refinement_steps=1200
+tokenizer_steps=6000
 notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
 
 mkdir -p "$folder"
@@ -29,8 +30,11 @@ instok3d data rooms -o "$folder/rooms-test" --seeds "$test_seeds" --workers "$wo
 instok3d train nano-geometry --data "$folder/rooms" -o "$folder/geometry" --seed "$seed" \
     --steps "$geometry_steps" $(resume_of "$folder/geometry")
 # shellcheck disable=SC2046
+instok3d train nano-refinement --data "$folder/rooms" -o "$folder/refinement" --seed "$seed" \
+    --init-from "$folder/geometry" --steps "$refinement_steps" $(resume_of "$folder/refinement")
+# shellcheck disable=SC2046
 instok3d train nano-tokenizer --data "$folder/rooms" -o "$folder/tokenizer" --seed "$seed" \
-    --init-from "$folder/geometry" --steps "$tokenizer_steps" $(resume_of "$folder/tokenizer")
+    --init-from "$folder/refinement" --steps "$tokenizer_steps" $(resume_of "$folder/tokenizer")
 instok3d train export "$folder/tokenizer" -o "$folder/default_model.safetensors" --notes "$notes"
 
 for protocol in rooms-2view rooms-8view; do

@@ -200,8 +200,8 @@ PRESETS = {
         ema_decay=0.995,
     ),
     "nano-tokenizer": TrainConfig(
-        stage=TokenizerStageConfig(),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 2, 4, 8), num_targets=2),
+        stage=TokenizerStageConfig(given_probability=0.35),
+        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 8, 8, 8), num_targets=2, mirror=True),
         lr=1e-4,
         warmup_steps=100,
     ),
