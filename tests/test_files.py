@@ -1,10 +1,11 @@
 import json
+from pathlib import Path
 
 import pytest
 import torch
 from safetensors import safe_open
 
-from instok3d.files import replacing, write_json, write_safetensors
+from instok3d.files import part_folder, replacing, replacing_folder, write_json, write_safetensors
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path):
@@ -48,3 +49,59 @@ def test_no_tensors_and_no_metadata_are_a_file_too(tmp_path):
     write_safetensors(tmp_path / "empty", {})
     with safe_open(tmp_path / "empty", framework="pt") as stored:
         assert list(stored.keys()) == []
+
+
+def filled(folder: Path, text: str) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "a.txt").write_text(text)
+
+
+def test_a_folder_takes_the_place_of_the_old_one_or_leaves_it(tmp_path: Path):
+    target = tmp_path / "scene"
+    for text in ("first", "second"):
+        with replacing_folder(target) as part:
+            filled(part, text)
+        assert (target / "a.txt").read_text() == text
+
+    def interrupted() -> None:
+        with replacing_folder(target) as part:
+            filled(part, "third")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (target / "a.txt").read_text() == "second"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_nothing_is_lost_if_the_last_rename_fails(
+    tmp_path: Path, named: bool, monkeypatch: pytest.MonkeyPatch
+):
+    target = tmp_path / "scene"
+    filled(target, "old")
+    rename = Path.rename
+
+    def fail(path: Path, to: Path) -> Path:
+        if path.name.endswith(".part"):
+            raise OSError("no")
+        return rename(path, to)
+
+    monkeypatch.setattr(Path, "rename", fail)
+    with (
+        pytest.raises(OSError, match="no"),
+        replacing_folder(target, part=part_folder(target) if named else None) as part,
+    ):
+        filled(part, "new")
+    assert (target / "a.txt").read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_a_killed_process_left_is_cleared_and_its_old_folder_comes_back(tmp_path: Path):
+    target = tmp_path / "scene"
+    filled(part_folder(target), "half")
+    filled(part_folder(target).with_suffix(".old"), "old")  # killed between the two renames
+    with replacing_folder(target, part=part_folder(target)) as part:
+        assert list(part.iterdir()) == []
+        assert (target / "a.txt").read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]

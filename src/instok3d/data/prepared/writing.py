@@ -1,10 +1,7 @@
 """Writing one scene of a prepared folder, whole or not at all."""
 
-import os
-import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,7 +19,7 @@ from instok3d.data.prepared.format import (
     read_scene,
     sha256_of,
 )
-from instok3d.files import write_json
+from instok3d.files import part_folder, replacing_folder, write_json
 
 
 def write_scene(
@@ -46,7 +43,7 @@ def write_scene(
     target = folder / info.name
     if target.exists():
         raise FileExistsError(f"{target} is already there; delete it to prepare the scene again")
-    with _scene_folder(target) as part:
+    with replacing_folder(target, part=part_folder(target)) as part:
         rows: list[dict[str, Any]] = []
         files: dict[str, list[int | str]] = {}
         dropped: Counter[str] = Counter()
@@ -75,36 +72,6 @@ def write_scene(
              "dropped": dict(sorted(dropped.items())), "files": files},
         )  # fmt: skip
     return read_scene(target)
-
-
-def part_folder(target: Path) -> Path:
-    """The hidden folder in which a scene grows before it gets its name."""
-    return target.with_name(f".{target.name}.part")
-
-
-@contextmanager
-def _scene_folder(target: Path) -> Iterator[Path]:
-    """A hidden folder that becomes `target` when the block ends without error."""
-    part = part_folder(target)
-    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
-    part.mkdir(parents=True)
-    try:
-        yield part
-        for path in sorted(part.rglob("*"), reverse=True):
-            _sync(path)
-        _sync(part)
-        part.rename(target)
-        _sync(target.parent)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _checked_layers(

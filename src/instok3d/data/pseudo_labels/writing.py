@@ -1,11 +1,8 @@
 """Id maps of clips as 16-bit PNG files beside the footage; each folder appears whole."""
 
 import json
-import os
-import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -24,7 +21,7 @@ from instok3d.data.pseudo_labels.statistics import (
     StatisticsConfig,
     StatisticsOfClip,
 )
-from instok3d.files import write_json
+from instok3d.files import part_folder, replacing_folder, write_json
 
 FORMAT = "instok3d-masks-1"
 RECORD = "masks.json"
@@ -127,7 +124,7 @@ def label(
     statistics = StatisticsOfClip(config.statistics)
     files: dict[str, list[int | str]] = {}
     sizes: list[tuple[int, int]] = []
-    with replacing_folder(clip.target) as part:
+    with replacing_folder(clip.target, part=part_folder(clip.target)) as part:
         images = _images(clip, config.max_side, sizes)
         maps = label_clip(images, model, model, config.association)
         for number, (name, id_map) in enumerate(zip(clip.names, maps, strict=True)):
@@ -145,27 +142,6 @@ def label(
              "statistics": asdict(result), "files": files},
         )  # fmt: skip
     return Labelled(clip.target, result, "made")
-
-
-@contextmanager
-def replacing_folder(path: Path) -> Iterator[Path]:
-    """A hidden folder beside `path` that takes its place when the block ends without error."""
-    part = path.with_name(f".{path.name}.part")
-    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
-    part.mkdir(parents=True)
-    try:
-        yield part
-        for each in [*part.iterdir(), part]:
-            handle = os.open(each, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-        if path.exists():
-            shutil.rmtree(path)
-        part.rename(path)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _settings(model: LabelModel, config: LabelConfig) -> dict[str, Any]:
