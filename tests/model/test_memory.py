@@ -19,7 +19,8 @@ from instok3d.model.memory import (
 from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
 from plane_backbone import PlaneConfig
 
-NANO = (NanoConfig(), TokenizerConfig())
+NANO = (NanoConfig(refinement_layers=0), TokenizerConfig())
+"""What the sizes below were measured with."""
 EIGHT = Work(views=8, height=128, width=128)
 
 

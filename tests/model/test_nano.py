@@ -10,7 +10,7 @@ from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
 from instok3d.model.backbone.pair_cameras import chain_cameras, solve_pairs
 from instok3d.types import Views
 
-TINY = NanoConfig(width=64, layers=1, match_channels=16)
+TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0)
 
 
 @pytest.fixture(scope="module")

@@ -113,7 +113,7 @@ def test_what_the_refinement_looks_at_is_not_differentiated(rng):
 
 
 def test_refining_without_a_refinement_is_an_error(rng):
-    backbone = NanoBackbone(NanoConfig(width=64, layers=1, match_channels=16))
+    backbone = NanoBackbone(NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0))
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
     with pytest.raises(ValueError, match="refinement_layers is 0"):

@@ -7,7 +7,7 @@ from instok3d.data.sample import Sample
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
 
-PLAIN = NanoConfig(width=64, layers=1, match_channels=16)
+PLAIN = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0)
 REFINED = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=1)
 
 

@@ -9,7 +9,6 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from instok3d.data.batches import BatchConfig
 from instok3d.files import write_json
-from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.vggt import PAPER_VGGT
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
@@ -191,7 +190,7 @@ PRESETS = {
         clip_norm=1.0,
     ),
     "nano-refinement": TrainConfig(
-        stage=GeometryStageConfig(backbone=NanoConfig(refinement_layers=2), trained="refinement"),
+        stage=GeometryStageConfig(trained="refinement"),
         batches=BatchConfig(batch_size=4, views=(2, 2, 2, 4, 8), num_targets=1),
         steps=1_500,
         lr=6e-4,

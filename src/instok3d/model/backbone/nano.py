@@ -47,7 +47,7 @@ class NanoConfig:
     """Channels of an attention head; 32 is twice as slow on a CPU."""
     match_channels: int = 64
     """Channels of a descriptor."""
-    refinement_layers: int = 0
+    refinement_layers: int = 2
     """Attention blocks of the refinement of depth by parallax; 0 = none of it."""
     typical_field_of_view_rad: float = 1.05
     """What an image of unknown intrinsics is taken for before the focal head corrects it."""
