@@ -70,7 +70,7 @@ def replacing_folder(path: Path, *, part: Path | None = None) -> Iterator[Path]:
         part.rename(path)
         _sync(path.parent)
     except BaseException as error:
-        if isinstance(error, OSError) and error.filename is None:
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
             error.filename = str(path)  # a full disk is reported without the name of the file
         if old.exists() and not path.exists():
             old.rename(path)
