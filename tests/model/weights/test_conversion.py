@@ -1,5 +1,6 @@
 import os
 import pickle
+import re
 from collections import OrderedDict
 from pathlib import Path
 
@@ -57,9 +58,11 @@ def evil(folder: Path, way: str) -> tuple[Path, Path]:
 @pytest.mark.parametrize("way", ["pickle", "old torch", "torch"])
 def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, way: str):
     bad, mark = evil(tmp_path, way)
-    with pytest.raises(ValueError, match="is refused, it holds more than tensors"):
+    with pytest.raises(ValueError, match="is refused, it holds more than tensors") as refusal:
         convert_here(bad, tmp_path / "out.safetensors")
     assert not mark.exists()
+    assert "weights_only" not in str(refusal.value)  # torch tells how to run it all the same
+    assert re.search(": [Uu]nsupported ", str(refusal.value))
 
 
 def test_a_refusal_leaves_what_was_there(tmp_path: Path):

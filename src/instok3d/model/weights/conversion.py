@@ -6,6 +6,7 @@ reader for weights alone, which makes tensors and plain containers and refuses a
 
 import errno
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -123,17 +124,24 @@ def _read(checkpoint: Path) -> Any:
     try:
         return torch.load(checkpoint, map_location="cpu", weights_only=True, mmap=mapped)
     except pickle.UnpicklingError as error:
-        reason = " ".join(str(error).split())
-        found = reason.find("Unsupported")
         raise ValueError(
-            "is refused, it holds more than tensors and plain values (or is no checkpoint): "
-            f"{reason[max(found, 0) :][:300]}"
+            "is refused, it holds more than tensors and plain values (or is no checkpoint)"
+            f"{_found(error)}"
         ) from error
     except (RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:  # what a cut zip gives
             raise
-        reason = " ".join(str(error).split())[:300]
+        reason = " ".join(str(error).split())[:300] or type(error).__name__
         raise ValueError(f"is not a whole checkpoint: {reason}") from error
+
+
+def _found(error: Exception) -> str:
+    """What torch found in the file, without its advice on how to run it all the same."""
+    reason = " ".join(str(error).split())
+    found = re.search(
+        r"([Uu]nsupported|unrecognized) .*?(?=\.? Please|\.? Check the doc|$)", reason
+    )
+    return f": {found[0][:300]}" if found else ""
 
 
 def _is_optimizer(name: str) -> bool:
