@@ -63,7 +63,7 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path, capsys, monkeypa
     assert lines["stage"] == "tokenizer"
     assert lines["scenes"] == "2 to train on with 32 frames, 1 held out"
     assert lines["steps"].startswith("20000 updates, ")
-    assert lines["frozen"].endswith("M parameters: backbone 7.01 M")
+    assert lines["frozen"].endswith("M parameters: backbone 8.91 M")
     assert "give the run that made it with --init-from" in lines["missing"]
     assert list(tmp_path.iterdir()) == []
 
@@ -92,3 +92,25 @@ def test_an_adapt_run_starts_a_tokenizer_run_and_exports_its_backbone(tmp_path, 
     tokenizer = ["train", "nano-tokenizer", "--data", "rooms", "-o", str(tmp_path / "tokenizer")]
     tiny = ["--steps", "1", "--stage.tokenizer.width", "64", "--stage.tokenizer.num-anchors", "8"]
     assert main([*tokenizer, *SMALL, *tiny, "--init-from", str(file)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--gpus", "0", "--dry-run"], "processes must be at least 1, got 0"),
+        (["--steps", "-3", "--dry-run"], "steps must be at least 0, got -3"),
+        (["--accumulate", "0", "--dry-run"], "accumulate must be at least 1, got 0"),
+        (["--clip-norm", "0", "--dry-run"], "clip_norm must be above 0"),
+    ],
+)
+def test_counts_that_count_nothing_are_refused(words, told, capsys):
+    assert main(["train", "nano-geometry", "--data", "rooms", "--holdout", "1", *words]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_device_that_is_not_there_is_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path / "run")]
+    assert main([*run, "--holdout", "1", "--device", "cuda"]) == 2
+    assert "torch sees no CUDA device" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

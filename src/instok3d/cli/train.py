@@ -89,11 +89,13 @@ def _command(name: str) -> Callable[..., None]:
 
 def show_plan(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
     """Print what the run would do."""
-    paper = 1 if config.device == "cpu" else 4
+    processes = arguments.gpus
+    if processes is None:
+        processes = int(os.environ.get("WORLD_SIZE", 1 if config.device == "cpu" else 4))
     plan = make_plan(
         config,
         source,
-        num_gpus=arguments.gpus or int(os.environ.get("WORLD_SIZE", paper)),
+        num_gpus=processes,
         gpu=arguments.gpu,
         init_from=arguments.init_from,
         resume=arguments.resume,
@@ -111,6 +113,11 @@ def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSour
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
     assert arguments.output is not None
+    if config.device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError(
+            f"--device {config.device}: torch sees no CUDA device here; give --device cpu, or "
+            "install the build of torch with CUDA, or see the plan with --dry-run"
+        )
     check_memory(config, *check_scenes(config, source))
     stage, init_from = _stage_of(config), arguments.init_from
     if isinstance(stage, TokenizerStage) and stage.cache:

@@ -73,6 +73,18 @@ class TrainConfig:
     checkpoint_every_steps: int = 0
     log_every_steps: int = 50
 
+    def __post_init__(self):
+        for name, least in _LEAST.items():
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"{name} must be at least {least}, got {value}")
+        if self.clip_norm <= 0:
+            raise ValueError(f"clip_norm must be above 0, got {self.clip_norm}")
+
+
+_LEAST = {"steps": 0, "warmup_steps": 0, "accumulate": 1, "readers": 1, "log_every_steps": 1}
+"""The smallest value of a setting that counts something."""
+
 
 def preset(name: str) -> TrainConfig:
     """The settings of a named run, ready to be changed with dataclasses.replace.

@@ -95,6 +95,8 @@ def make_plan(
     Raises:
         ValueError: The data set lacks what the stage needs, or there is no such GPU.
     """
+    if num_gpus < 1:
+        raise ValueError(f"the number of processes must be at least 1, got {num_gpus}")
     batches, views = config.batches, max(config.batches.views)
     height, width = check_scenes(config, source)
     counts = [source.num_frames(number) for number in range(len(source))]
@@ -104,7 +106,8 @@ def make_plan(
     if not kept:
         raise ValueError(
             f"no scene is left to train on: {len(counts)} scenes, {config.holdout} held out, of "
-            f"the rest {len(training)} have fewer than {needed} frames"
+            f"the rest {len(training)} have fewer than {needed} frames; lower --holdout or "
+            "prepare more scenes"
         )
     model = model_on_paper(config)
     samples = [samples_per_batch(config, each) for each in batches.views]
