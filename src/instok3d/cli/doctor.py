@@ -81,13 +81,19 @@ def _memory() -> Finding:
     room, good = [], True
     if DEFAULT_MODEL.is_file():
         own = largest_view_count(*read_sizes(), Work(1, 128, 128), limit)
-        room.append(f"{own} views of 128 x 128 with the default model")
+        room.append(f"{_count(own)} views of 128 x 128 with the default model")
         good = own >= DEFAULT_VIEWS
     if "vggt" in BACKBONES:
         paper = largest_view_count(PAPER_VGGT, PAPER, Work(1, 256, 256), limit)
-        room.append(f"{paper} of 256 x 256 with VGGT-1B and the paper's sizes")
+        room.append(f"{_count(paper)} of 256 x 256 with VGGT-1B and the paper's sizes")
     state = f"{free / 1e9:.1f} GB free on {device}, room for {' or '.join(room) or 'what it takes'}"
     return Finding("memory", state, good)
+
+
+def _count(views: int) -> str:
+    from instok3d.model.memory import MOST_VIEWS
+
+    return f"{views} or more" if views == MOST_VIEWS else str(views)
 
 
 def _model() -> Finding:

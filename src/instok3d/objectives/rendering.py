@@ -1,4 +1,4 @@
-"""The rendering loss: squared error and, where its weights are there, LPIPS (Eq. 4)."""
+"""The rendering loss: squared error and LPIPS (Eq. 4)."""
 
 from dataclasses import dataclass
 
@@ -27,10 +27,10 @@ def rendering_loss(
     lpips: Lpips | None = None,
     lpips_weight: float = 0.0,
 ) -> RenderingLoss:
-    """MSE + lpips_weight * LPIPS, means over all images, in float32 (paper: weight 0.05).
+    """MSE + lpips_weight * LPIPS, means over all images (paper: weight 0.05).
 
-    Renders are not clamped for the squared error, so that too bright ones keep a gradient; for
-    LPIPS they are.
+    The squared error is in float32; LPIPS runs under the caller's autocast. Renders are not clamped
+    for the squared error, so that too bright ones keep a gradient; for LPIPS they are.
 
     Raises:
         ValueError: lpips_weight is above 0 and there is no LPIPS network.
