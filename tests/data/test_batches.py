@@ -205,3 +205,8 @@ def test_scenes_too_short_for_a_sample_are_left_out_with_a_warning():
     assert kept.scenes == (1,)
     with pytest.raises(ValueError, match="all 1 scenes have fewer than the 46 frames"):
         SceneBatches(LongRooms([45]), [0], BatchConfig(sampling="re10k"), seed=0)
+
+
+def test_a_batch_of_no_parts_is_refused():
+    with pytest.raises(ValueError, match="accumulate must be at least 1, got 0"):
+        SceneBatches(FakeRooms(2, size=32), [0, 1], BatchConfig(2), seed=0, accumulate=0)

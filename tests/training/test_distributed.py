@@ -7,7 +7,6 @@ import pytest
 import torch
 
 import processes
-from instok3d.data.batches import BatchConfig
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
@@ -156,9 +155,3 @@ def test_a_single_process_is_not_shared():
         assert type(loss).__name__ == "SharedLoss"
     with pytest.raises(ValueError, match="'single' is for one process, got 2"):
         share(stage, stage.build_model(), Processes(1, 2, 1), "single")
-
-
-def test_a_batch_of_no_parts_is_refused(tmp_path):
-    config = replace(TOY, accumulate=0, batches=BatchConfig(2))
-    with pytest.raises(ValueError, match="accumulate must be at least 1, got 0"):
-        run(config, tmp_path)
