@@ -7,6 +7,7 @@ import torch
 
 from flat_rooms import flat_room
 from instok3d.cli import main
+from instok3d.cli.evaluate import _short
 from instok3d.data.rooms.scene import RenderedScene
 from instok3d.data.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
 from instok3d.evaluation.report import KEYS
@@ -90,3 +91,10 @@ def test_bad_input_is_one_sentence_and_an_exit_code(folder, capsys, more, code, 
     said = capsys.readouterr()
     assert message in said.err
     assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    ("commit", "short"), [("0123456789ab", "012345678"), ("0123456789ab+", "012345678+")]
+)
+def test_a_changed_tree_is_told_from_its_commit(commit: str, short: str):
+    assert _short(commit) == short

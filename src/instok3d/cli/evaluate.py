@@ -123,7 +123,7 @@ def run(
         rows = results_rows(
             report,
             command=" ".join(["instok3d", *sys.argv[1:]]),
-            commit=current_commit()[:9],
+            commit=_short(current_commit()),
             seed=read_card(model).get("config", {}).get("seed"),
             machine=_machine(),
         )
@@ -200,6 +200,11 @@ def _save_sheets(
     for number, (sample, prediction) in enumerate(zip(scene.samples, predictions, strict=True)):
         name = f"{protocol}_{kind}{scene.name}_{number}.png"
         write_sheet(folder / name, sample, prediction)
+
+
+def _short(commit: str) -> str:
+    """Nine digits of a commit, and the sign that the tree was changed since."""
+    return commit[:9] + "+" * commit.endswith("+")
 
 
 def _machine() -> str:
