@@ -81,7 +81,7 @@ def convert(
     Args:
         checkpoint: A .pt, .pth or .ckpt file.
         output: The .safetensors file.
-        level: Keys under which the tensors lie, joined by dots, such as state_dict.
+        level: Keys under which the tensors lie, joined by dots, such as state_dict; "" for the top.
         overwrite: Replace a file that is already there.
         json: Print one JSON object.
     """

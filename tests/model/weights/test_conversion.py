@@ -88,6 +88,16 @@ def test_two_places_with_tensors_need_a_choice(tmp_path: Path):
         convert_here(tmp_path / "a.pt", output, level="emma")
 
 
+def test_the_top_is_chosen_by_the_empty_level(tmp_path: Path):
+    torch.save({"w": torch.ones(1), "ema": {"w": torch.zeros(1)}}, tmp_path / "a.pt")
+    output = tmp_path / "a.safetensors"
+    with pytest.raises(ValueError, match=r"more than one place, '' \(the top\), 'ema': choose"):
+        convert_here(tmp_path / "a.pt", output)
+    assert convert_checkpoint(tmp_path / "a.pt", output, level="").left_out == ("ema",)
+    assert load_file(output)["w"].item() == 1
+    assert convert_here(tmp_path / "a.pt", output, level="ema").level == "ema"
+
+
 def test_levels_are_named_by_their_keys():
     weight = torch.ones(1)
     content = {"a": {"b": OrderedDict(w=weight)}, "n": 1, "c": {"w": weight, 3: "x"}}

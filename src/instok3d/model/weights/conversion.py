@@ -37,7 +37,7 @@ def convert_checkpoint(checkpoint: Path, output: Path, *, level: str | None = No
         checkpoint: A file of torch.save, of any age.
         output: The file to write; replaced if it is there.
         level: Keys under which the tensors lie, joined by dots, where there is more than one such
-            place.
+            place; empty for those at the top.
 
     Raises:
         FileNotFoundError: There is no such checkpoint.
@@ -48,7 +48,8 @@ def convert_checkpoint(checkpoint: Path, output: Path, *, level: str | None = No
     if not checkpoint.is_file():
         raise FileNotFoundError(f"no checkpoint {checkpoint}")
     with replacing(output) as part:
-        command = [sys.executable, "-m", __name__, str(checkpoint), str(part), level or ""]
+        chosen = [] if level is None else [level]
+        command = [sys.executable, "-m", __name__, str(checkpoint), str(part), *chosen]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode < 0:
             raise MemoryError(
@@ -79,7 +80,7 @@ def tensor_levels(content: Any, above: str = "") -> dict[str, Mapping[str, Any]]
     return found
 
 
-def convert_here(checkpoint: Path, output: Path, level: str = "") -> Conversion:
+def convert_here(checkpoint: Path, output: Path, level: str | None = None) -> Conversion:
     """What `convert_checkpoint` does, in this process; the message lacks the file's name.
 
     Raises:
@@ -90,15 +91,16 @@ def convert_here(checkpoint: Path, output: Path, level: str = "") -> Conversion:
     levels = tensor_levels(_read(checkpoint))
     # An optimizer's state has one dictionary of tensors for each parameter, under its number.
     levels = {name: each for name, each in levels.items() if not _is_optimizer(name)}
-    if level and level not in levels:
-        raise ValueError(f"has no tensors under {level!r}; there are some under {_names(levels)}")
     if not levels:
         raise ValueError("holds no tensors under names")
-    if not level and len(levels) > 1:
+    if level is None and len(levels) > 1:
         raise ValueError(
             f"holds tensors in more than one place, {_names(levels)}: choose with --level"
         )
-    level = level or next(iter(levels))
+    if level is None:
+        level = next(iter(levels))
+    if level not in levels:
+        raise ValueError(f"has no tensors under {level!r}; there are some under {_names(levels)}")
     import torch
 
     chosen = levels[level]
@@ -149,12 +151,12 @@ def _is_optimizer(name: str) -> bool:
 
 
 def _names(levels: Mapping[str, object]) -> str:
-    return ", ".join(repr(name) if name else "the top" for name in levels)
+    return ", ".join(repr(name) if name else "'' (the top)" for name in levels)
 
 
 if __name__ == "__main__":
     try:
-        answer = asdict(convert_here(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))
+        answer = asdict(convert_here(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:]))
     except ValueError as refusal:
         answer = {"refused": str(refusal)}
     print(json.dumps(answer))
