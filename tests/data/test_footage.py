@@ -95,7 +95,7 @@ def test_bad_footage_is_refused_with_a_reason(tmp_path):
     small = write_ids(tmp_path / "small", 3, (20, 15))
     report = prepared(FootageSource(photos, small, size=16), tmp_path / "out")
     assert "has 20 x 15 pixels, its photo 40 x 30" in report.failed["kitchen"]
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {".lock", "scenes.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scenes.json"}
     (photos / "shot 1.jpg").write_bytes(b"\xff\xd8\xff\xe0 cut")
     report = prepared(FootageSource(photos, size=16), tmp_path / "out")
     assert "shot 1.jpg" in report.failed["kitchen"]

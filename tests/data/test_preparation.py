@@ -69,7 +69,7 @@ def test_a_scene_that_fails_is_reported_and_the_others_go_on(
     report = run([job("a", some_frames, 2, fault), job("b")], tmp_path)
     assert report.failed == {"a": reason}
     assert report.scenes == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "b", "scenes.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b", "scenes.json"]
     assert run([job("a"), job("b")], tmp_path).scenes == 1  # and can be made later
 
 
@@ -91,7 +91,7 @@ def test_a_disk_that_becomes_full_stops_everything(tmp_path: Path):
     jobs = [job("a", some_frames, 1, OSError(errno.ENOSPC, "full")), job("b")]
     with pytest.raises(OSError, match="full"):
         run(jobs, tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "scenes.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes.json"]
 
 
 def test_a_killed_worker_is_said_to_be_one(tmp_path: Path):
@@ -136,7 +136,7 @@ def test_an_interrupt_leaves_whole_scenes_only(tmp_path: Path):
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=100)
     assert b"KeyboardInterrupt" in errors
-    assert sorted(path.name for path in out.iterdir()) == [".lock", "a", "scenes.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["a", "scenes.json"]
     assert list(verify(out)) == []
 
 

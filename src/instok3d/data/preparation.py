@@ -4,7 +4,6 @@ A reader of a data set only lists its scenes as `SceneJob`; everything else happ
 """
 
 import errno
-import fcntl
 import json
 import multiprocessing
 import os
@@ -24,6 +23,7 @@ from typing import Protocol
 
 from tqdm import tqdm
 
+from instok3d.data.locking import alone_in
 from instok3d.data.prepared import (
     DroppedFrame,
     PreparedFrame,
@@ -35,7 +35,7 @@ from instok3d.data.prepared import (
 from instok3d.data.prepared.format import RECORD
 
 LOCK = ".lock"
-"""Held by the run that prepares scenes into a folder; the file stays, the lock ends with it."""
+"""Held by the run that prepares scenes into a folder."""
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 BYTES_PER_PIXEL = {"images": 1.6, "depths": 1.2, "instances": 0.05, "labels": 0.05}
 """Of the PNG files of indoor scenes, rounded up."""
@@ -177,7 +177,9 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
             str(plan.folder),
         )
     plan.folder.mkdir(parents=True, exist_ok=True)
-    with _alone_in(plan.folder):
+    # Two runs would write into each other's unfinished scenes.
+    refusal = f"another run is preparing scenes into {plan.folder}; wait for its end, or choose "
+    with alone_in(plan.folder / LOCK, refusal + "another folder"):
         return _prepare(plan, workers, progress)
 
 
@@ -197,20 +199,6 @@ def _prepare(plan: PreparationPlan, workers: int, progress: bool) -> Preparation
     finally:
         refresh_index(plan.folder)
     return report
-
-
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Keep other runs out: two would write into each other's unfinished scenes."""
-    with (folder / LOCK).open("w") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise ValueError(
-                f"another run is preparing scenes into {folder}; wait for its end, or choose "
-                "another folder"
-            ) from error
-        yield
 
 
 def _is_done(info: SceneInfo, folder: Path) -> bool:
