@@ -17,6 +17,7 @@ from instok3d.data.prepared import (
     verify,
     write_scene,
 )
+from instok3d.data.prepared.format import sha256_of
 from instok3d.data.scenes import SceneSource
 from prepared_scenes import made_folder, made_frame
 
@@ -78,12 +79,18 @@ def test_only_the_wanted_splits_are_kept_in_order_of_name(tmp_path: Path):
         PreparedScenes(tmp_path, splits=("test",))
 
 
+def write_masks_record(masks: Path) -> None:
+    files = {path.name: [path.stat().st_size, sha256_of(path)] for path in masks.glob("*.png")}
+    record = {"format": "instok3d-masks-1", "statistics": {}, "files": files}
+    (masks / "masks.json").write_text(json.dumps(record))
+
+
 def test_masks_of_a_model_take_the_place_of_the_ids(tmp_path: Path):
     folder = made_folder(tmp_path, {"a": "train"})
     with pytest.raises(FileNotFoundError, match="have no masks of sam2"):
         PreparedScenes(folder, masks="sam2")
-    (folder / "a" / "labels").mkdir()
     (folder / "a" / "instances").rename(folder / "a" / "masks_sam2")
+    write_masks_record(folder / "a" / "masks_sam2")
     read = PreparedScenes(folder, masks="sam2").frames(0, [3])
     np.testing.assert_array_equal(read.instances[0], made_frame(3).instances)
 
@@ -191,12 +198,10 @@ def test_each_damage_is_found_at_its_file(
 
 def test_masks_are_verified_by_their_own_record(tmp_path: Path):
     folder = made_folder(tmp_path, {"a": "train"}, num_frames=1)
-    record = read_scene(folder / "a")
     masks = folder / "a" / "masks_sam2"
     masks.mkdir()
     (masks / "000000.png").write_bytes((folder / "a/instances/000000.png").read_bytes())
-    entry = list(record.files["instances/000000.png"])
-    (masks / "masks.json").write_text(json.dumps({"files": {"000000.png": entry}}))
+    write_masks_record(masks)
     assert faults(folder) == {}
     flip_byte(masks / "000000.png")
     assert list(faults(folder)) == ["a/masks_sam2/000000.png"]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from instok3d.data.prepared import PreparedScenes, verify
+from instok3d.data.prepared import Fault, PreparedScenes, verify
+from instok3d.data.prepared.verifying import verify_scene
 from instok3d.data.pseudo_labels import writing
 from instok3d.data.pseudo_labels.association import AssociationConfig
 from instok3d.data.pseudo_labels.writing import LabelConfig, footage_clip, label, scene_clip
@@ -85,7 +86,7 @@ def test_a_damaged_record_is_said_and_overwritten(prepared):
     clip = scene_clip(scene, "sam2")
     label(clip, truth_of(scene), CONFIG)
     (clip.target / "masks.json").write_text("{")
-    with pytest.raises(ValueError, match=r"masks\.json is damaged .* pass --overwrite"):
+    with pytest.raises(ValueError, match=r"masks\.json is damaged .* --overwrite"):
         label(clip, truth_of(scene), CONFIG)
     label(clip, truth_of(scene), CONFIG, overwrite=True)
     assert list(verify(prepared)) == []
@@ -154,3 +155,47 @@ def test_a_clip_in_which_nothing_is_found_is_written_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="no mask was found in 1 pictures"):
         done = label(footage_clip([tmp_path / "a.png"], tmp_path / "ids"), truth, CONFIG)
     assert done.statistics.coverage == 0
+
+
+def test_two_runs_do_not_make_the_same_masks(prepared):
+    scene = prepared / "a"
+    clip, heard = scene_clip(scene, "sam2"), []
+
+    def second_run(_: int) -> None:
+        with pytest.raises(ValueError, match=r"another run is making .*masks_sam2; wait") as error:
+            label(clip, truth_of(scene), CONFIG)
+        heard.append(error)
+        assert list(verify_scene(scene)) == [
+            Fault("a/.masks_sam2.part", "was left by a run that was stopped; delete it")
+        ]
+
+    label(clip, truth_of(scene), CONFIG, progress=second_run)
+    assert len(heard) == 5
+    assert list(verify(prepared)) == []
+    assert not [path for path in scene.iterdir() if path.name.startswith(".")]
+
+
+def test_training_refuses_masks_that_do_not_fit_the_frames_or_each_other(tmp_path):
+    folder = made_folder(tmp_path, {"a": "train", "b": "train"})
+    for name in ("a", "b"):
+        label(scene_clip(folder / name, "sam2"), truth_of(folder / name), CONFIG)
+    assert len(PreparedScenes(folder, masks="sam2")) == 2
+
+    path = folder / "b/masks_sam2/masks.json"
+    record = json.loads(path.read_text())
+
+    def changed(**changes: object) -> None:
+        path.write_text(json.dumps(record | changes))
+
+    changed(weights_sha256="f" * 64)
+    with pytest.raises(ValueError, match=r"b/masks_sam2 was made with another weights_sha256 than"):
+        PreparedScenes(folder, masks="sam2")
+    changed(files=dict(list(record["files"].items())[:4]))
+    with pytest.raises(ValueError, match=r"b/masks_sam2 has 4 id maps for 5 frames"):
+        PreparedScenes(folder, masks="sam2")
+    changed(format="instok3d-masks-9")
+    with pytest.raises(ValueError, match=r"masks\.json is damaged .*instok3d-masks-9"):
+        PreparedScenes(folder, masks="sam2")
+    path.unlink()
+    with pytest.raises(FileNotFoundError, match=r"no masks\.json in .*b/masks_sam2"):
+        PreparedScenes(folder, masks="sam2")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from instok3d.data.prepared.format import SceneRecord, Split, read_scene
 from instok3d.data.prepared.index import read_index
+from instok3d.data.prepared.masks import MADE_BY, read_masks_record
 from instok3d.data.scenes import SceneFrames
 
 
@@ -26,7 +28,7 @@ class PreparedScenes:
     Raises:
         FileNotFoundError: The folder has no index, or scenes have no such masks.
         ValueError: The index is damaged, has no scene of these splits, or has scenes of them
-            without cameras.
+            without cameras; the masks are not one for each frame, or not all made alike.
     """
 
     def __init__(
@@ -114,13 +116,32 @@ class PreparedScenes:
         return torch.from_numpy(np.stack(pixels) if pixels else np.empty((0, *size), np.int64))
 
     def _check_masks(self, model: str) -> None:
-        lacking = [n for n in self._names if not (self.folder / n / self._id_layer).is_dir()]
+        """That every scene has them, one for each frame, all made in the same way."""
+        again = f"`instok3d data masks {self.folder} --model {model}`"
+        folders = [self.folder / name / self._id_layer for name in self._names]
+        lacking = [folder.parent.name for folder in folders if not folder.is_dir()]
         if lacking:
             raise FileNotFoundError(
                 f"{len(lacking)} of {len(self)} scenes of {self.folder} have no masks of {model} "
-                f"(such as {lacking[0]}); make them with `instok3d data masks {self.folder} "
-                f"--model {model}`"
+                f"(such as {lacking[0]}); make them with {again}"
             )
+        first: dict[str, Any] = {}
+        for folder, count in zip(folders, self._counts, strict=True):
+            record = read_masks_record(folder)
+            wanted = {f"{number:06d}.png" for number in range(count)}
+            if record.files.keys() != wanted:
+                raise ValueError(
+                    f"{folder} has {len(record.files)} id maps for {count} frames; make them again "
+                    f"with {again} --overwrite"
+                )
+            made_by = {key: record.settings.get(key) for key in MADE_BY}
+            first = first or made_by
+            other = [key for key in MADE_BY if made_by[key] != first[key]]
+            if other:
+                raise ValueError(
+                    f"{folder} was made with another {' and '.join(other)} than the masks of "
+                    f"{folders[0].parent.name}; make all alike with {again} --overwrite"
+                )
 
 
 @lru_cache(maxsize=64)

@@ -1,12 +1,15 @@
 """Looking for what is missing or damaged in a prepared folder."""
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 from instok3d.data.prepared.format import RECORD, read_scene, sha256_of
 from instok3d.data.prepared.index import INDEX, read_index, scene_folders
+from instok3d.data.prepared.masks import MASKS_RECORD, read_masks_record
+
+UNFINISHED = (".part", ".old")
+LEFT = "was left by a run that was stopped; delete it"
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,8 @@ def verify_index(folder: Path) -> Iterator[Fault]:
     """How the index differs from the scenes that lie there, and what no scene owns."""
     lying = {scene.name: scene for scene in scene_folders(folder)}
     for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") and path.name.endswith(".part"):
-            yield Fault(path.name, "was left by a run that was stopped; delete it")
+        if path.name.startswith(".") and path.suffix in UNFINISHED:
+            yield Fault(path.name, LEFT)
         elif path.is_dir() and path.name not in lying and not path.name.startswith("."):
             yield Fault(path.name, f"is a folder without {RECORD}")
     try:
@@ -64,28 +67,33 @@ def verify_scene(scene: Path) -> Iterator[Fault]:
         return
     if record.info.name != scene.name:
         yield Fault(f"{scene.name}/{RECORD}", f"belongs to the scene {record.info.name}")
-    listed = dict(record.files)
-    for masks in sorted(scene.glob("masks_*/masks.json")):
+    listed, records = dict(record.files), {RECORD}
+    for masks in sorted(scene.glob(f"masks_*/{MASKS_RECORD}")):
+        records.add(masks.relative_to(scene).as_posix())
         try:
-            listed |= _listed_masks(masks)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            yield Fault(masks.relative_to(scene.parent).as_posix(), f"is damaged ({error})")
+            files = read_masks_record(masks.parent).files
+        except ValueError as error:
+            yield Fault(masks.relative_to(scene.parent).as_posix(), str(error))
+            continue
+        listed |= {f"{masks.parent.name}/{name}": value for name, value in files.items()}
     for name, (size, sha256) in listed.items():
         problem = _file_problem(scene / name, size, sha256)
         if problem:
             yield Fault(f"{scene.name}/{name}", problem)
-    for path in sorted(scene.rglob("*")):
-        name = path.relative_to(scene).as_posix()
-        if path.is_file() and name not in listed and path.name not in (RECORD, "masks.json"):
-            yield Fault(f"{scene.name}/{name}", "is not listed in the scene's record")
+    yield from _unlisted(scene, listed.keys() | records)
 
 
-def _listed_masks(path: Path) -> dict[str, tuple[int, str]]:
-    """The files that a masks.json lists, by their paths below the scene."""
-    files = json.loads(path.read_text(encoding="utf-8"))["files"]
-    return {
-        f"{path.parent.name}/{name}": (int(size), str(sha)) for name, (size, sha) in files.items()
-    }
+def _unlisted(scene: Path, known: Set[str]) -> Iterator[Fault]:
+    """What lies in a scene folder and is in no record; a lock is none of its files."""
+    for path in sorted(scene.iterdir()):
+        hidden = path.name.startswith(".")
+        if hidden and path.suffix in UNFINISHED:
+            yield Fault(f"{scene.name}/{path.name}", LEFT)
+        elif not (hidden and path.suffix == ".lock"):
+            for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+                name = file.relative_to(scene).as_posix()
+                if file.is_file() and name not in known:
+                    yield Fault(f"{scene.name}/{name}", "is not listed in the scene's record")
 
 
 def _file_problem(path: Path, size: int, sha256: str) -> str | None:

@@ -1,6 +1,5 @@
 """Id maps of clips as 16-bit PNG files beside the footage; each folder appears whole."""
 
-import json
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -12,8 +11,10 @@ from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
 from instok3d import __version__
+from instok3d.data.locking import alone_in
 from instok3d.data.prepared import read_scene
 from instok3d.data.prepared.format import sha256_of
+from instok3d.data.prepared.masks import MASKS_FORMAT, MASKS_RECORD, read_masks_record
 from instok3d.data.pseudo_labels.association import AssociationConfig, label_clip
 from instok3d.data.pseudo_labels.interfaces import MaskProposer, MaskTracker
 from instok3d.data.pseudo_labels.statistics import (
@@ -22,9 +23,6 @@ from instok3d.data.pseudo_labels.statistics import (
     StatisticsOfClip,
 )
 from instok3d.files import part_folder, replacing_folder, write_json
-
-FORMAT = "instok3d-masks-1"
-RECORD = "masks.json"
 
 
 @runtime_checkable
@@ -110,14 +108,28 @@ def label(
 
     Raises:
         FileExistsError: The target is there and no folder of id maps.
-        ValueError: Its id maps were made with other settings, or a picture cannot be read.
+        ValueError: Its id maps were made with other settings, another run is making them, or a
+            picture cannot be read.
     """
+    clip.target.parent.mkdir(parents=True, exist_ok=True)
+    refusal = f"another run is making {clip.target}; wait for its end"
+    with alone_in(clip.target.with_name(f".{clip.target.name}.lock"), refusal):
+        return _label(clip, model, config, overwrite, progress or (lambda _: None))
+
+
+def _label(
+    clip: Clip,
+    model: LabelModel,
+    config: LabelConfig,
+    overwrite: bool,
+    progress: Callable[[int], Any],
+) -> Labelled:
     settings = _settings(model, config)
     if clip.target.exists():
-        if not (clip.target / RECORD).is_file():
+        if not (clip.target / MASKS_RECORD).is_file():
             raise FileExistsError(
-                f"{clip.target} is there but is no folder of id maps ({RECORD} is missing); delete "
-                "it or choose another"
+                f"{clip.target} is there but is no folder of id maps ({MASKS_RECORD} is missing); "
+                "delete it or choose another"
             )
         if not overwrite:
             return Labelled(clip.target, _statistics_there(clip, settings), "there already")
@@ -132,13 +144,12 @@ def label(
             picture = Image.fromarray(id_map).resize(sizes[number], Image.Resampling.NEAREST)
             picture.save(part / name, "PNG")
             files[name] = [(part / name).stat().st_size, sha256_of(part / name)]
-            if progress is not None:
-                progress(1)
+            progress(1)
         result = statistics.result()
         _warn_of_nothing(clip, result)
         write_json(
-            part / RECORD,
-            {"format": FORMAT, **settings, "instok3d": __version__,
+            part / MASKS_RECORD,
+            {"format": MASKS_FORMAT, **settings, "instok3d": __version__,
              "statistics": asdict(result), "files": files},
         )  # fmt: skip
     return Labelled(clip.target, result, "made")
@@ -150,22 +161,20 @@ def _settings(model: LabelModel, config: LabelConfig) -> dict[str, Any]:
 
 def _statistics_there(clip: Clip, settings: dict[str, Any]) -> ClipStatistics:
     """The figures of id maps that are there, if they are what would be made."""
-    path = clip.target / RECORD
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        statistics = ClipStatistics(**record["statistics"])
-        other = [key for key, value in settings.items() if record.get(key) != value]
-        fits = record["format"] == FORMAT and set(record["files"]) == set(clip.names)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is damaged ({error}); pass --overwrite to make the masks again"
-        ) from error
-    if other or not fits:
+    record = read_masks_record(clip.target)
+    other = [key for key, value in settings.items() if record.settings.get(key) != value]
+    if other or set(record.files) != set(clip.names):
         raise ValueError(
             f"{clip.target} was made with another {' and '.join(other) or 'set of frames'}; pass "
             "--overwrite to make the masks again"
         )
-    return statistics
+    try:
+        return ClipStatistics(**record.statistics)
+    except TypeError as error:
+        raise ValueError(
+            f"{clip.target / MASKS_RECORD} has other statistics ({error}); pass --overwrite to "
+            "make the masks again"
+        ) from error
 
 
 def _images(
