@@ -35,13 +35,13 @@ def camera(frame: int, fx: float = FX, fy: float = FY) -> list[float]:
     return [fx, fy, 0.5, 0.5, 0.0, 0.0, c, 0.0, s, 0.1 * frame, 0.0, 1.0, 0.0, 0.2, -s, 0.0, c, 1.0]
 
 
-def clip(key: str = "a1", num_frames: int = 4, **changed: Any) -> dict[str, Any]:
+def clip(name: str = "a1", num_frames: int = 4, **changed: Any) -> dict[str, Any]:
     return {
         "url": "an address",
         "timestamps": torch.arange(num_frames),
         "cameras": torch.tensor([camera(k) for k in range(num_frames)]),
         "images": [as_tensor(jpeg()) for _ in range(num_frames)],
-        "key": key,
+        "key": name,
         **changed,
     }
 
@@ -183,21 +183,55 @@ def test_a_chunk_whose_list_is_cut_is_refused(tmp_path):
         read_chunk(tmp_path / "cut.torch")
 
 
+def test_a_chunk_that_is_no_list_is_refused(tmp_path):
+    torch.save({"a": torch.ones(1)}, tmp_path / "odd.torch")
+    with pytest.raises(ValueError, match="holds a dict, wanted a list of clips"):
+        read_chunk(tmp_path / "odd.torch")
+
+
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    ("row", "name", "message"),
     [
-        ({"a": torch.ones(1)}, "holds a dict, wanted a list of clips"),
-        ([{"key": "a1", "cameras": torch.ones(2, 18)}], r"\['cameras', 'key'\], wanted at least"),
-        ([torch.ones(3)], "has a clip with Tensor"),
-        ([clip(cameras=torch.ones(4, 12))], "cameras of clip a1 are not rows of 18 numbers"),
-        ([clip(cameras=torch.ones(3, 18))], "clip a1 has 3 cameras but 4 images"),
-        ([clip(images=[torch.ones(5)] * 4)], r"images of clip a1 are not bytes \(uint8\)"),
+        ({"key": "b2", "cameras": torch.ones(2, 18)}, "b2", "has ['cameras', 'key'], wanted key"),
+        (torch.ones(3), "000000-1", "the clip 000000-1 has Tensor"),
+        (clip("b2", cameras=torch.ones(4, 12)), "b2", "clip b2 are not rows of 18 numbers"),
+        (clip("b2", cameras=torch.tensor(1.0)), "b2", "clip b2 are not rows of 18 numbers"),
+        (clip("b2", cameras=torch.ones(3, 18)), "b2", "clip b2 has 3 cameras but 4 images"),
+        (clip("b2", images=[torch.ones(5)] * 4), "b2", "clip b2 are not bytes (uint8)"),
+        (clip("../b2"), "000000-1", "the key of the clip 000000-1 is '../b2'"),
+        (clip("a1"), "000000-1", "the key of the clip 000000-1 is 'a1'"),  # a second one
+        (clip("b2", key=7), "000000-1", "the key of the clip 000000-1 is 7"),
     ],
 )
-def test_chunks_of_other_contents_are_refused(tmp_path, rows, message):
-    torch.save(rows, tmp_path / "odd.torch")
-    with pytest.raises(ValueError, match=message):
-        read_chunk(tmp_path / "odd.torch")
+@pytest.mark.parametrize("with_index", [False, True])
+def test_a_malformed_clip_fails_alone(tmp_path, row, name, message, with_index):
+    (tmp_path / "in/train").mkdir(parents=True)
+    torch.save([clip("a1"), row, clip("c3")], tmp_path / "in/train/000000.torch")
+    if with_index:
+        index = dict.fromkeys(("a1", name, "c3"), "000000.torch")
+        (tmp_path / "in/train/index.json").write_text(json.dumps(index))
+    report = prepared(tmp_path / "in", tmp_path / "out")
+    assert (report.scenes, [*report.failed]) == (2, [name])
+    assert message in report.failed[name]
+
+
+def test_a_damaged_chunk_without_index_fails_alone(tmp_path):
+    write_chunks(
+        tmp_path / "in/train", {"000000.torch": [clip("a1")], "000001.torch": [clip("b2")]}
+    )
+    (tmp_path / "in/train/index.json").unlink()
+    path = tmp_path / "in/train/000000.torch"
+    path.write_bytes(path.read_bytes()[:1000])
+    report = prepared(tmp_path / "in", tmp_path / "out")
+    assert (report.scenes, [*report.failed]) == (1, ["000000.torch"])
+    assert "000000.torch is cut off" in report.failed["000000.torch"]
+
+
+def test_a_chunk_that_the_index_does_not_list_is_told(tmp_path):
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1")]})
+    torch.save([clip("b2")], tmp_path / "in/train/000001.torch")
+    with pytest.warns(UserWarning, match=r"1 chunks are left out .*, such as 000001\.torch"):
+        assert len(Re10kSource(tmp_path / "in").jobs()) == 1
 
 
 def test_one_bad_clip_is_reported_and_the_others_go_on(tmp_path):

@@ -10,6 +10,7 @@ import json
 import math
 import pickle
 import struct
+import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +29,7 @@ from instok3d.data.pixel_map import PixelMap, fit_pixels
 from instok3d.data.poses import pose_fault
 from instok3d.data.preparation import Frames, LeftOutError, SceneJob, estimate_bytes
 from instok3d.data.prepared import DroppedFrame, PreparedFrame, SceneInfo
+from instok3d.data.prepared.format import can_name_a_scene
 from instok3d.geometry.cameras import invert_rigid
 
 HEIGHT, WIDTH = 360, 640
@@ -77,7 +79,7 @@ class Re10kSource:
 
         Raises:
             FileNotFoundError: There is no such folder, or no clip of these splits in it.
-            ValueError: An index or a chunk is damaged.
+            ValueError: An index is damaged.
         """
         if self.size < 1:
             raise ValueError(f"size must be 1 or more, got {self.size}")
@@ -93,9 +95,9 @@ class Re10kSource:
 
     def _jobs_of(self, split: Literal["train", "test"]) -> Iterator[SceneJob]:
         folder = self.folder if self.folder.name == split else self.folder / split
-        index = _chunk_index(folder) if folder.is_dir() else {}
-        shares = Counter(index.values())
-        for key, name in index.items():
+        index = _chunk_index(folder) if folder.is_dir() else []
+        shares = Counter(name for _, name in index)
+        for key, name in index:
             path = folder / name
             size = path.stat().st_size if path.is_file() else 0
             num_frames = -(-size // (shares[name] * _FRAME_BYTES))
@@ -117,13 +119,15 @@ class Re10kSource:
         return SceneJob(info, estimate, partial(_frames_of, clip, self.size))
 
 
-def read_chunk(path: Path) -> dict[str, Re10kClip]:
-    """The clips of a .torch chunk by their keys; only tensors and plain containers are loaded.
+def read_chunk(path: Path) -> dict[str, Any]:
+    """What a .torch chunk holds of each clip, not yet checked, by the clip's key.
+
+    A clip without a key that can name a folder, or with that of one before it, is found by the
+    chunk's name and its number. Only tensors and plain containers are loaded.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is cut off, is no chunk, holds anything that could run code, or a clip
-            lacks a field or has numbers of cameras and images that differ.
+        ValueError: It is cut off, is no chunk, or holds anything that could run code.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no chunk {path}")
@@ -142,8 +146,12 @@ def read_chunk(path: Path) -> dict[str, Re10kClip]:
         ) from error
     if not isinstance(rows, list):
         raise ValueError(f"{path} holds a {type(rows).__name__}, wanted a list of clips")
-    clips = [_checked_clip(row, path) for row in rows]
-    return {clip.key: clip for clip in clips}
+    clips: dict[str, Any] = {}
+    for number, row in enumerate(rows):
+        key = row.get("key") if isinstance(row, dict) else None
+        usable = isinstance(key, str) and can_name_a_scene(key) and key not in clips
+        clips[key if usable else f"{path.stem}-{number}"] = row
+    return clips
 
 
 def read_camera_file(path: Path) -> tuple[Float[np.ndarray, "frame 18"], tuple[int, ...]]:
@@ -168,29 +176,54 @@ def read_camera_file(path: Path) -> tuple[Float[np.ndarray, "frame 18"], tuple[i
     return cameras, times
 
 
-def _chunk_index(folder: Path) -> dict[str, str]:
-    """Which chunk holds each clip; read from the chunks themselves where there is no index."""
+def _chunk_index(folder: Path) -> list[tuple[str, str]]:
+    """Each clip and its chunk; read from the chunks themselves where there is no index."""
     path = folder / "index.json"
+    chunks = sorted(folder.glob("*.torch"))
     if not path.is_file():
-        chunks = sorted(folder.glob("*.torch"))
-        return {key: chunk.name for chunk in chunks for key in read_chunk(chunk)}
+        return [(key, chunk.name) for chunk in chunks for key in _keys_of(chunk)]
     try:
         index = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{path} is not valid JSON ({error})") from error
     if not isinstance(index, dict) or not all(isinstance(name, str) for name in index.values()):
         raise ValueError(f"{path} is no index: wanted the file name of a chunk for each clip")
-    outside = [name for name in index.values() if Path(name).name != name]
+    outside = [name for pair in index.items() for name in pair if not can_name_a_scene(name)]
     if outside:
         raise ValueError(f"{path} names {outside[0]}, which is not in its folder")
-    return index
+    unlisted = [chunk.name for chunk in chunks if chunk.name not in set(index.values())]
+    if unlisted:
+        warnings.warn(
+            f"{len(unlisted)} chunks are left out because {path} does not list them, such as "
+            f"{unlisted[0]}; delete the index to read all",
+            stacklevel=4,
+        )
+    return list(index.items())
 
 
-def _checked_clip(row: Any, path: Path) -> Re10kClip:
+def _keys_of(chunk: Path) -> list[str]:
+    """The clips of a chunk; of a damaged one its name, so that a job of that name tells why."""
+    try:
+        return list(read_chunk(chunk))
+    except ValueError:
+        return [chunk.name]
+
+
+def _checked_clip(row: Any, path: Path, key: str) -> Re10kClip:
+    """The clip of a chunk.
+
+    Raises:
+        ValueError: It lacks a field, or its numbers of cameras and images differ.
+    """
     if not isinstance(row, dict) or not {"key", "cameras", "images"} <= row.keys():
         found = sorted(map(str, row)) if isinstance(row, dict) else type(row).__name__
-        raise ValueError(f"{path} has a clip with {found}, wanted at least key, cameras, images")
-    key, cameras, images = str(row["key"]), row["cameras"], row["images"]
+        raise ValueError(f"{path}: the clip {key} has {found}, wanted key, cameras and images")
+    if row["key"] != key:
+        raise ValueError(
+            f"{path}: the key of the clip {key} is {row['key']!r}, which cannot name a scene or is "
+            "that of another clip"
+        )
+    cameras, images = row["cameras"], row["images"]
     if not isinstance(cameras, torch.Tensor) or cameras.shape[1:] != (18,):
         raise ValueError(f"{path}: the cameras of clip {key} are not rows of 18 numbers")
     if not isinstance(images, list) or len(images) != len(cameras):
@@ -221,7 +254,7 @@ def _clip_of_chunk(path: Path, key: str) -> Re10kClip:
     clips = _cached_chunk(path)
     if key not in clips:
         raise KeyError(f"{path} lacks the clip {key} that the index says it has")
-    return clips[key]
+    return _checked_clip(clips[key], path, key)
 
 
 def _clip_of_text(path: Path, places: Sequence[Path]) -> Re10kClip:

@@ -18,6 +18,11 @@ Unit = Literal["metre", "arbitrary"]
 """Of cameras and depths; depths are stored in thousandths of it."""
 
 
+def can_name_a_scene(name: str) -> bool:
+    """Whether a scene and its folder may have this name."""
+    return bool(name) and not name.startswith(".") and not {"/", "\\", "\0"} & set(name)
+
+
 @dataclass(frozen=True)
 class SceneInfo:
     """What a scene is, before its frames are known."""
@@ -31,7 +36,7 @@ class SceneInfo:
     """How it was prepared; scenes of one folder made with other settings are not mixed."""
 
     def __post_init__(self):
-        if not self.name or self.name.startswith(".") or "/" in self.name or "\\" in self.name:
+        if not can_name_a_scene(self.name):
             raise ValueError(f"{self.name!r} cannot be the name of a scene and its folder")
         for value, words in ((self.dataset, Dataset), (self.split, Split), (self.unit, Unit)):
             if value not in get_args(words):
