@@ -115,14 +115,28 @@ def test_lens_distortion_is_taken_out(tmp_path):
     assert green / 2.0 == pytest.approx(60 + 130 * 0.2 * 0.987, abs=0.5 * shift + 0.7)
 
 
-def test_folders_without_scenes_or_photos_are_told(tmp_path):
+def test_folders_without_scenes_are_told(tmp_path):
     with pytest.raises(FileNotFoundError, match="no folder"):
         ColmapSource(tmp_path / "nowhere").jobs()
     with pytest.raises(FileNotFoundError, match="holds no COLMAP scene"):
         ColmapSource(tmp_path).jobs()
-    write_scene(tmp_path / "room", ["a.png"])
-    with pytest.raises(FileNotFoundError, match=r"no folder images_4 of photos; name it with"):
-        MipNeRF360Source(tmp_path).jobs()
+
+
+def test_a_scene_without_its_photos_fails_alone(tmp_path):
+    write_scene(tmp_path / "in/hall", ["a.png"])
+    write_scene(tmp_path / "in/room", ["a.png"], reduce=4)
+    report = prepared(MipNeRF360Source(tmp_path / "in", size=16), tmp_path / "out")
+    assert report.scenes == 1
+    assert report.failed == {
+        "hall": f"there is no folder of photos {tmp_path}/in/hall/images_4; name it with --images"
+    }
+
+
+def test_photos_without_a_model_are_left_out_with_a_warning(tmp_path):
+    write_scene(tmp_path / "hall", ["a.png"])
+    (tmp_path / "room/images").mkdir(parents=True)
+    with pytest.warns(UserWarning, match=r"1 folders with photos .* no COLMAP model .*room"):
+        assert len(ColmapSource(tmp_path).jobs()) == 1
 
 
 def test_real_cameras_of_garden_survive(shared, tmp_path):

@@ -1,5 +1,6 @@
 """Scenes that COLMAP made cameras for: any of them, and MipNeRF360 in its own layout."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -39,7 +40,7 @@ class ColmapSource:
         """All scenes, by name.
 
         Raises:
-            FileNotFoundError: There is no such folder, or no scene with photos in it.
+            FileNotFoundError: There is no such folder, or no scene in it.
         """
         if self.size < 1:
             raise ValueError(f"size must be 1 or more, got {self.size}")
@@ -47,21 +48,28 @@ class ColmapSource:
             raise FileNotFoundError(f"there is no folder {self.folder}")
         folders = [self.folder, *sorted(path for path in self.folder.iterdir() if path.is_dir())]
         models = {path: model for path in folders if (model := _model_of(path)) is not None}
-        if self.folder in models:
-            models = {self.folder: models[self.folder]}
         if not models:
             raise FileNotFoundError(
                 f"{self.folder} holds no COLMAP scene: wanted cameras and images (.bin or .txt) in "
                 "sparse/0, here or in its folders"
             )
+        if self.folder in models:
+            models = {self.folder: models[self.folder]}
+        else:
+            self._warn_of_photos_alone([path for path in folders if path not in models])
         return [self._job(path, model) for path, model in models.items()]
 
-    def _job(self, scene: Path, model: Path) -> SceneJob:
-        photos = scene / self.images
-        if not photos.is_dir():
-            raise FileNotFoundError(
-                f"the scene {scene} has no folder {self.images} of photos; name it with --images"
+    def _warn_of_photos_alone(self, folders: Sequence[Path]) -> None:
+        alone = [folder for folder in folders if (folder / self.images).is_dir()]
+        if alone:
+            warnings.warn(
+                f"{len(alone)} folders with photos are left out, they have no COLMAP model in "
+                f"sparse/0, such as {alone[0]}",
+                stacklevel=3,
             )
+
+    def _job(self, scene: Path, model: Path) -> SceneJob:
+        photos = scene / self.images  # if it is not there, the job will say so
         there = sorted(p for p in photos.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
         origin = origin_of(there, *(f.read_bytes() for f in colmap_files.model_files(model)))
         settings = {"size": self.size, "images": self.images, "origin": origin}
@@ -91,9 +99,12 @@ def colmap_frames(model: Path, photos: Path, size: int) -> Frames:
         size: Height and width.
 
     Raises:
+        FileNotFoundError: There is no such folder of photos.
         ValueError: The model is damaged, has a lens that is not nearly a pinhole, or a camera
             that does not fit its photo.
     """
+    if not photos.is_dir():
+        raise FileNotFoundError(f"there is no folder of photos {photos}; name it with --images")
     numbers = {image.name: image.number for image in colmap_files.read_model(model)}
     cameras = read_cameras(model).cameras
     if len(numbers) < len(cameras):
