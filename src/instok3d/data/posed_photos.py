@@ -144,7 +144,9 @@ def _turned(camera: PhotoCamera, turned_by: int, photo: Path) -> tuple[float, fl
 
 def _ids(files: PhotoFiles, decoded: DecodedPhoto) -> UInt16[np.ndarray, "height width"]:
     assert files.ids is not None
-    ids, pixel_map = read_id_png(files.ids.read_bytes(), str(files.ids)), decoded.pixel_map
+    pixel_map = decoded.pixel_map
+    pixels = pixel_map.original_height * pixel_map.original_width
+    ids = read_id_png(files.ids.read_bytes(), str(files.ids), pixels)
     if pixel_map.exif_orientation != 1:
         raise ValueError(
             f"{files.photo} is turned by EXIF, so how its ids {files.ids.name} lie is not known; "

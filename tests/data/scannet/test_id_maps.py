@@ -1,3 +1,4 @@
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -5,7 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from instok3d.data.scannet.id_maps import IdMaps, largest_instance, read_id_png, write_id_maps
+from instok3d.data.scannet.id_maps import (
+    MOST_TIMES_THE_PICTURE,
+    IdMaps,
+    largest_instance,
+    read_id_png,
+    write_id_maps,
+)
 from scannet_files import huge_png, id_map, png_bytes
 
 SIZE = (6, 8)
@@ -18,8 +25,8 @@ def test_maps_are_found_by_frame_number(tmp_path: Path):
     with IdMaps(path, "label-filt") as maps:
         assert maps.last_frame == 120
         for number, ids in labels.items():
-            np.testing.assert_array_equal(maps.read(number), ids)
-        assert maps.read(1) is None
+            np.testing.assert_array_equal(maps.read(number, 48), ids)
+        assert maps.read(1, 48) is None
 
 
 def test_instance_maps_have_eight_bits(tmp_path: Path):
@@ -39,7 +46,7 @@ def test_padded_names_below_another_folder_are_found_too(tmp_path: Path):
         archive.writestr("scene0000_00/instance-filt/000012.png", png_bytes(np.eye(3, dtype="u1")))
         archive.writestr("scene0000_00/instance-filt/readme.txt", "")
     with IdMaps(path, "instance-filt") as maps:
-        np.testing.assert_array_equal(maps.read(12), np.eye(3))
+        np.testing.assert_array_equal(maps.read(12, 48), np.eye(3))
 
 
 def test_the_wrong_archive_is_refused(tmp_path: Path):
@@ -73,7 +80,7 @@ def test_a_damaged_map_is_named(tmp_path: Path):
         IdMaps(path, "label-filt") as maps,
         pytest.raises(ValueError, match=r"label-filt/0\.png is damaged"),
     ):
-        maps.read(0)
+        maps.read(0, 48)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +99,7 @@ def test_an_archive_of_another_kind_is_refused(tmp_path: Path, at: int, patch: b
     data[start : start + 2] = patch
     path.write_bytes(data)
     with pytest.raises(ValueError, match=message), IdMaps(path, "label-filt") as maps:
-        maps.read(0)
+        maps.read(0, 48)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +113,7 @@ def test_an_archive_of_another_kind_is_refused(tmp_path: Path, at: int, patch: b
 )
 def test_only_pictures_of_ids_are_read(data: bytes, message: str):
     with pytest.raises(ValueError, match=message):
-        read_id_png(data, "x")
+        read_id_png(data, "x", 48)
 
 
 def test_instances_are_one_more_than_the_ids_of_the_aggregation(tmp_path: Path):
@@ -118,3 +125,20 @@ def test_instances_are_one_more_than_the_ids_of_the_aggregation(tmp_path: Path):
     path.write_text("[]")
     with pytest.raises(ValueError, match="damaged"):
         largest_instance(path)
+
+
+def test_a_map_much_larger_than_its_picture_is_not_unpacked(tmp_path: Path):
+    path, zeros = tmp_path / "a.zip", np.zeros((3000, 3000), np.uint8)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("label-filt/0.png", bytes(30_000_000))
+        archive.writestr("label-filt/1.png", png_bytes(zeros))
+    with IdMaps(path, "label-filt") as maps:
+        tracemalloc.start()
+        with pytest.raises(ValueError, match=r"label-filt/0\.png unpacks to more than"):
+            maps.read(0, 48)
+        with pytest.raises(ValueError, match="3000 x 3000 pixels, its picture has far fewer"):
+            maps.read(1, 48)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 2_000_000  # a fifteenth of the first
+        assert maps.read(1, 9_000_000 // MOST_TIMES_THE_PICTURE) is not None

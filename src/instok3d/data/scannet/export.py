@@ -1,5 +1,6 @@
 """One ScanNet scan as prepared frames: every tenth frame, cropped to the model's square."""
 
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -53,11 +54,11 @@ def scan_frames(
             for kind, path in _archives(instances, labels)
         }
         largest = None if aggregation is None else largest_instance(aggregation)
-        pixel_map = _crop(scan, size)
+        pixel_map, pixels = _crop(scan, size), math.prod(scan.color_size)
         for number in range(0, len(scan.frames), stride):
             pose = scan.frames[number].world_from_cam
             fault = pose_fault(pose)
-            ids = {} if fault else {kind: each.read(number) for kind, each in maps.items()}
+            ids = {} if fault else {k: each.read(number, pixels) for k, each in maps.items()}
             missing = [kind for kind, values in ids.items() if values is None]
             if fault or missing:
                 reason = fault or f"no {' and no '.join(missing)} map"

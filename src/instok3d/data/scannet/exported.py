@@ -200,8 +200,9 @@ def _cropped(image: Image.Image, pixel_map: PixelMap) -> UInt8[np.ndarray, "heig
 
 def _map(tree: FileTree, name: str, pixel_map: PixelMap) -> UInt16[np.ndarray, "height width"]:
     what = f"{tree.root}: {name}"
-    values = read_id_png(tree.read(name), what)
-    check_same_view(values.shape, pixel_map.original_height, pixel_map.original_width, what)
+    height, width = pixel_map.original_height, pixel_map.original_width
+    values = read_id_png(tree.read(name), what, height * width)
+    check_same_view(values.shape, height, width, what)
     return crop_values(values, pixel_map)
 
 

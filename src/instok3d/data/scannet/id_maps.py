@@ -18,6 +18,9 @@ from instok3d.files import replacing
 Kind = Literal["instance-filt", "label-filt"]
 """instance-filt: 8-bit, aggregation id + 1; label-filt: 16-bit raw label ids; 0 = unannotated."""
 
+MOST_TIMES_THE_PICTURE = 16
+"""No id map has more pixels than so many times its picture's; ScanNet's have as many as that."""
+
 
 class IdMaps:
     """The id maps of one archive, found by frame number; use it in a `with` block.
@@ -63,37 +66,55 @@ class IdMaps:
         """The largest frame number that has a map."""
         return max(self._members)
 
-    def read(self, frame: int) -> UInt16[np.ndarray, "height width"] | None:
+    def read(self, frame: int, picture_pixels: int) -> UInt16[np.ndarray, "height width"] | None:
         """The ids of one frame; None where the archive has none.
 
+        Args:
+            frame: Its number.
+            picture_pixels: How many its picture has; a map that is much larger is not unpacked.
+
         Raises:
-            ValueError: The map is damaged or is not a picture of one whole number a pixel.
+            ValueError: The map is damaged, much too large, or not a picture of one whole number a
+                pixel.
         """
         if frame not in self._members:
             return None
         name = self._members[frame]
+        most_bytes = 4 * MOST_TIMES_THE_PICTURE * picture_pixels + 65536  # of a PNG with ids
         try:
-            data = self._archive.read(name)
+            with self._archive.open(name) as stream:
+                data = stream.read(most_bytes + 1)
         # A RuntimeError is an encrypted map or an unknown compression.
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
             raise ValueError(
                 f"{self.path}: {name} is damaged ({error}); download it again"
             ) from error
-        return read_id_png(data, f"{self.path}: {name}")
+        if len(data) > most_bytes:
+            raise ValueError(
+                f"{self.path}: {name} unpacks to more than {most_bytes} bytes, far too many for a "
+                f"picture of {picture_pixels} pixels; download the archive again"
+            )
+        return read_id_png(data, f"{self.path}: {name}", picture_pixels)
 
 
-def read_id_png(data: bytes, what: str) -> UInt16[np.ndarray, "height width"]:
+def read_id_png(data: bytes, what: str, picture_pixels: int) -> UInt16[np.ndarray, "height width"]:
     """The ids in the bytes of an 8-bit or 16-bit PNG.
 
     Args:
         data: The file.
         what: Its name for messages.
+        picture_pixels: How many the picture has that the ids belong to.
 
     Raises:
-        ValueError: It is damaged, or not a picture of one whole number a pixel.
+        ValueError: It is damaged, much larger than its picture, or not a picture of one whole
+            number a pixel.
     """
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            if image.width * image.height > MOST_TIMES_THE_PICTURE * picture_pixels:
+                raise ValueError(
+                    f"{image.width} x {image.height} pixels, its picture has far fewer"
+                )
             mode, pixels = image.mode, np.asarray(image)
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"{what} is damaged or no PNG ({error})") from error
