@@ -27,7 +27,7 @@ instok3d data rooms -o "$folder/rooms" --seeds "$rooms" --resolution "$resolutio
 python "$here/rooms_as_scannet.py" "$folder/rooms" -o "$folder/scannet" --test "$test_scans"
 
 instok3d data prepare scannet "$folder/scannet" -o "$folder/prepared" \
-    --size "$resolution" --stride 1 --workers 2
+    --size "$resolution" --stride 1 --min-frames 1 --workers 2
 instok3d data verify "$folder/prepared"
 
 shipped=$here/../src/instok3d/assets/default_model.safetensors

@@ -5,7 +5,7 @@
 The last rooms take names of ScanNet's last 50 scans, from which its test scenes are chosen; the
 others become training scans (scene0000_00, scene0001_00, ...). The 16 frames of a room stand about
 as far apart as every tenth frame of ScanNet, so the scans have these alone: prepare them with
-`--stride 1`.
+`--stride 1 --min-frames 1`.
 """
 
 import argparse

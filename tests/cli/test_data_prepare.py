@@ -17,6 +17,7 @@ def scans(tmp_path: Path) -> Path:
 def command(scans: Path, *options: str) -> list[str]:
     out = str(scans.parent / "out")
     return ["data", "prepare", "scannet", str(scans), "-o", out, "--size", "24", "--workers", "1",
+            "--min-frames", "1",
             *options]  # fmt: skip
 
 

@@ -21,7 +21,7 @@ def splits(source: ScanNetSource) -> dict[str, str]:
 def test_scans_become_a_folder_that_training_reads(tmp_path: Path):
     write_scan(tmp_path / "scannet" / "scans", "scene0000_00", 21)
     write_scan(tmp_path / "scannet" / "scans", "scene0641_00", 11)
-    report = prepared(ScanNetSource(tmp_path / "scannet", size=24), tmp_path / "out")
+    report = prepared(ScanNetSource(tmp_path / "scannet", size=24, min_frames=1), tmp_path / "out")
     assert (report.scenes, report.frames, report.failed) == (2, 5, {})
     assert list(verify(tmp_path / "out")) == []
     scenes = PreparedScenes(tmp_path / "out")
@@ -51,12 +51,28 @@ def test_a_lost_pose_among_the_first_frames_keeps_a_scan_out_of_the_test(tmp_pat
     between[31] = np.full((4, 4), np.nan)  # frame 31 is not among 0, 10, 20, ...
     write_scan(tmp_path, "scene0687_00", 40, world_from_cam=lost)
     write_scan(tmp_path, "scene0688_00", 40, world_from_cam=between)
-    source = ScanNetSource(tmp_path, size=24)
+    source = ScanNetSource(tmp_path, size=24, min_frames=1)
     assert splits(source) == {"scene0687_00": "val", "scene0688_00": "test"}
     prepared(source, tmp_path / "out")
     rule = read_index(tmp_path / "out")["scene0688_00"]["split_rule"]
     assert "1 scans with non-finite poses (scene0687_00)" in rule
     assert "48 of the 50 could not be checked" in rule
+
+
+def test_short_scans_are_left_out_and_counted_but_not_those_of_the_test(tmp_path: Path):
+    lost = poses(5)
+    lost[3] = np.full((4, 4), np.nan)
+    write_scan(tmp_path / "in", "scene0000_00", 5)
+    write_scan(tmp_path / "in", "scene0001_00", 5, world_from_cam=lost)
+    write_scan(tmp_path / "in", "scene0641_00", 4)
+    write_scan(tmp_path / "in", "scene0688_00", 2)
+    source = ScanNetSource(tmp_path / "in", size=24, stride=1, min_frames=5)
+    report = prepared(source, tmp_path / "out")
+    assert report.left_out == {"fewer than 5 frames (--min-frames)": 2}
+    assert report.failed == {}
+    assert sorted(read_index(tmp_path / "out")) == ["scene0000_00", "scene0688_00"]
+    assert list(verify(tmp_path / "out")) == []
+    assert ScanNetSource(tmp_path).min_frames == 33  # Uni3R leaves out scans of 32 or fewer
 
 
 def test_names_that_are_no_scans_are_left_out_with_a_warning(tmp_path: Path):
@@ -81,7 +97,7 @@ def test_a_damaged_scan_fails_alone_and_with_its_reason(tmp_path: Path):
     (lost / "scene0003_00_2d-instance-filt.zip").write_bytes(
         (lost / "scene0003_00_2d-label-filt.zip").read_bytes()
     )
-    report = prepared(ScanNetSource(tmp_path / "in", size=24), tmp_path / "out")
+    report = prepared(ScanNetSource(tmp_path / "in", size=24, min_frames=1), tmp_path / "out")
     assert report.scenes == 1
     assert "cut off: it ends at byte" in report.failed["scene0001_00"]
     assert "no archive" in report.failed["scene0002_00"]
@@ -93,7 +109,7 @@ def test_without_archives_scans_are_prepared_without_ids(tmp_path: Path):
     folder = write_scan(tmp_path / "in", "scene0001_00", 1)
     for path in folder.glob("*.zip"):
         path.unlink()
-    source = ScanNetSource(tmp_path / "in", size=24, instances=False, labels=False)
+    source = ScanNetSource(tmp_path / "in", size=24, min_frames=1, instances=False, labels=False)
     prepared(source, tmp_path / "out")
     assert (PreparedScenes(tmp_path / "out").frames(0, [0]).instances == -1).all()
 
@@ -101,7 +117,7 @@ def test_without_archives_scans_are_prepared_without_ids(tmp_path: Path):
 def test_a_processed_export_is_found_and_read(tmp_path: Path):
     write_processed(tmp_path, "scene0003_00", num_frames=3)
     write_processed(tmp_path, "scene0688_00", num_frames=3)
-    source = ScanNetSource(tmp_path, size=24)
+    source = ScanNetSource(tmp_path, size=24, min_frames=1)
     assert splits(source) == {"scene0003_00": "train", "scene0688_00": "test"}
     assert prepared(source, tmp_path / "out").frames == 6
     assert splits(ScanNetSource(tmp_path / "scannet_processed")) == splits(source)
@@ -112,7 +128,7 @@ def test_lsms_test_data_is_found_and_read_in_its_folder_and_its_tar(tmp_path: Pa
     folder = write_lsm(tmp_path / "lsm", scenes)
     expected = {"scene0686_01": "test", "scene0700_01": "test"}
     for number, place in enumerate((folder, folder.parent, as_tar(folder))):
-        source = ScanNetSource(place, size=24)
+        source = ScanNetSource(place, size=24, min_frames=1)
         assert splits(source) == expected
         assert prepared(source, tmp_path / f"out{number}").frames == 5
     record = read_scene(tmp_path / "out2" / "scene0700_01")
@@ -127,8 +143,8 @@ def test_without_its_list_lsms_data_is_divided_by_the_rule(tmp_path: Path):
 
 def test_an_estimate_is_near_what_is_written(tmp_path: Path):
     write_scan(tmp_path / "in", "scene0000_00", 31)
-    job = ScanNetSource(tmp_path / "in", size=48).jobs()[0]
-    report = prepared(ScanNetSource(tmp_path / "in", size=48), tmp_path / "out")
+    job = ScanNetSource(tmp_path / "in", size=48, min_frames=1).jobs()[0]
+    report = prepared(ScanNetSource(tmp_path / "in", size=48, min_frames=1), tmp_path / "out")
     assert (
         report.num_bytes < job.estimated_bytes < 10 * report.num_bytes
     )  # made-up pixels are smooth
@@ -143,5 +159,5 @@ def test_what_is_no_scannet_is_refused(tmp_path: Path):
     write_scan(tmp_path / "in", "scene0000_00", 1)
     with pytest.raises(ValueError, match=r"none of the 1 scans .* is of the splits test"):
         ScanNetSource(tmp_path / "in", splits=("test",)).jobs()
-    with pytest.raises(ValueError, match="size and stride must be 1 or more"):
+    with pytest.raises(ValueError, match="size, stride and min_frames must be 1 or more"):
         ScanNetSource(tmp_path, stride=0)

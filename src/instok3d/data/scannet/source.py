@@ -10,8 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from instok3d.data.preparation import SPLIT_RULE, Frames, SceneJob, estimate_bytes
-from instok3d.data.prepared import SceneInfo, Split
+from instok3d.data.preparation import (
+    SPLIT_RULE,
+    Frames,
+    LeftOutError,
+    SceneJob,
+    estimate_bytes,
+)
+from instok3d.data.prepared import PreparedFrame, SceneInfo, Split
 from instok3d.data.scannet.export import scan_frames
 from instok3d.data.scannet.exported import FileTree, lsm_frames, processed_frames
 from instok3d.data.scannet.sens import SensFile
@@ -47,10 +53,13 @@ class ScanNetSource:
     """Read `{scan}_2d-label-filt.zip`; a scan without it fails."""
     splits: tuple[Split, ...] = ("train", "val", "test")
     """Scans of other splits are left out."""
+    min_frames: int = 33
+    """Training and validation scans of fewer prepared frames are left out (Uni3R: 32 or fewer)."""
 
     def __post_init__(self):
-        if self.size < 1 or self.stride < 1:
-            raise ValueError(f"size and stride must be 1 or more, got {self.size}, {self.stride}")
+        sizes = (self.size, self.stride, self.min_frames)
+        if min(sizes) < 1:
+            raise ValueError(f"size, stride and min_frames must be 1 or more, got {sizes}")
 
     def jobs(self) -> Sequence[SceneJob]:
         """All scans of the wanted splits, by name.
@@ -132,6 +141,8 @@ class ScanNetSource:
     ) -> SceneJob:  # fmt: skip
         settings = settings | {"size": self.size, SPLIT_RULE: test.rule}
         info = SceneInfo(name, "scannet", split, "metre", settings)
+        if split != "test":
+            frames = partial(_long_enough, frames, self.min_frames)
         return SceneJob(info, estimate_bytes(num_frames, self.size, self.size, layers), frames)
 
 
@@ -153,6 +164,16 @@ def _raw_frames(sens: Path, source: ScanNetSource) -> Frames:
         labels=sens.with_name(f"{name}_2d-label-filt.zip") if source.labels else None,
         aggregation=aggregation if source.instances and aggregation.is_file() else None,
     )
+
+
+def _long_enough(read: Callable[[], Frames], min_frames: int) -> Frames:
+    """The frames of a scan, which is found too short when they are counted."""
+    count = 0
+    for frame in read():
+        count += isinstance(frame, PreparedFrame)
+        yield frame
+    if 0 < count < min_frames:
+        raise LeftOutError(f"fewer than {min_frames} frames (--min-frames)")
 
 
 def _frame_count(sens: Path) -> int:
