@@ -12,8 +12,7 @@ from instok3d.model.backbone.depth_anything3 import (
 )
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
-from instok3d.model.backbone.vggt.conversion import KERNEL, resize_patches
-from instok3d.model.backbone.vggt.weights import NOT_READ
+from instok3d.model.backbone.vggt.weights import from_published, is_published
 from instok3d.model.weights import weights_path
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.training.feature_cache import of_backbone
@@ -26,7 +25,7 @@ def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> 
     """Fill a backbone from a run of any stage, from its own weights, or from published ones.
 
     VGGT's published weights have patches of 14 pixels and no layer for intrinsics: patches are
-    resized to the backbone's, and the layer keeps its random start.
+    resized to the backbone's, and the layer starts anew (`vggt.weights.from_published`).
 
     Raises:
         RuntimeError: They do not fit.
@@ -35,15 +34,10 @@ def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> 
     if isinstance(backbone, DepthAnything3Backbone) and any(n.startswith("model.") for n in inner):
         backbone.net.load_state_dict({n.removeprefix("model."): v for n, v in inner.items()})
         return
-    if not (isinstance(backbone, VGGTBackbone) and KERNEL in inner):
-        backbone.load_state_dict(inner)
+    if isinstance(backbone, VGGTBackbone) and is_published(inner):
+        backbone.vggt.load_state_dict(from_published(inner, backbone.config))
         return
-    config = backbone.config
-    kept = {name: value for name, value in inner.items() if not name.startswith(NOT_READ)}
-    published = resize_patches(kept, img_size=config.img_size, patch_size=config.patch_size)
-    own = backbone.vggt.state_dict()
-    fresh = {name: value for name, value in own.items() if ".embed_intrinsics." in name}
-    backbone.vggt.load_state_dict({**fresh, **published})
+    backbone.load_state_dict(inner)
 
 
 def lpips_network(weight: float, file: Path | None, name: str) -> Lpips | None:

@@ -1,5 +1,6 @@
 """Reading the published weights of VGGT."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -32,13 +33,9 @@ def load_vggt_weights(path: Path, config: VGGTConfig | None = None) -> VGGTBackb
     """
     config = VGGTConfig() if config is None else config
     state = _read(path)
-    if KERNEL not in state or POSITIONS not in state:
+    if not is_published(state):
         raise ValueError(f"{path} is no VGGT: it has no {KERNEL} or no {POSITIONS}")
-    state = resize_patches(state, img_size=config.img_size, patch_size=config.patch_size)
-    if config.intrinsics_token:
-        layer = new_intrinsics_layer(config.embed_dim)
-        for name, value in layer.state_dict().items():
-            state.setdefault(f"aggregator.embed_intrinsics.{name}", value)
+    state = from_published(state, config)
     with torch.device("meta"):  # no memory and no time for weights that are replaced
         backbone = VGGTBackbone(config)
     try:
@@ -46,6 +43,24 @@ def load_vggt_weights(path: Path, config: VGGTConfig | None = None) -> VGGTBackb
     except RuntimeError as error:
         raise ValueError(f"{path} does not hold VGGT's tensors of these sizes: {error}") from error
     return backbone.eval()
+
+
+def is_published(state: Mapping[str, Tensor]) -> bool:
+    """Whether these are weights under the names of the public VGGT-1B."""
+    return KERNEL in state and POSITIONS in state
+
+
+def from_published(state: Mapping[str, Tensor], config: VGGTConfig) -> dict[str, Tensor]:
+    """The state dict of a `VGGT` of these sizes from published weights.
+
+    Without the track head, with resized patches, and with a new intrinsics layer where the network
+    has one and the weights do not.
+    """
+    kept = {name: value for name, value in state.items() if not name.startswith(NOT_READ)}
+    if config.intrinsics_token:
+        layer = new_intrinsics_layer(config.embed_dim).state_dict()
+        kept = {f"aggregator.embed_intrinsics.{name}": v for name, v in layer.items()} | kept
+    return resize_patches(kept, img_size=config.img_size, patch_size=config.patch_size)
 
 
 def _read(path: Path) -> dict[str, Tensor]:
