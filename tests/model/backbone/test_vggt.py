@@ -252,6 +252,33 @@ def test_a_constant_position_embedding_stays_constant_and_the_class_token_first(
     torch.testing.assert_close(resized[:, 1:], torch.full((1, 21, 3), 2.0))
 
 
+def cubic_weights(old: int, new: int) -> torch.Tensor:
+    """[new, old]: Keys' cubic with a = -1/2 around each new cell, stretched where it shrinks."""
+    stretch = max(old / new, 1.0)
+    weights = torch.zeros(new, old, dtype=torch.float64)
+    for row in range(new):
+        for column in range(old):
+            x = abs((column + 0.5 - (row + 0.5) * old / new) / stretch)
+            if x < 1:
+                weights[row, column] = 1.5 * x**3 - 2.5 * x**2 + 1
+            elif x < 2:
+                weights[row, column] = -0.5 * x**3 + 2.5 * x**2 - 4 * x + 2
+    return weights / weights.sum(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(3, 7), (7, 3), (6, 2), (1, 5)])
+def test_positions_of_a_grid_that_is_not_square_are_cubic_in_rows_and_in_columns(
+    rng, rows, columns
+):
+    stored = torch.randn(1, 1 + 25, 2, generator=rng)
+    grid = stored[0, 1:].double().view(5, 5, 2)
+    expected = torch.einsum(
+        "ri,cj,ijk->rck", cubic_weights(5, rows), cubic_weights(5, columns), grid
+    )
+    found = positions_for(stored, rows, columns)[0, 1:].view(rows, columns, 2)
+    torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=1e-5)
+
+
 def test_position_waves_by_hand():
     # A square of 2 x 2 cells: half the diagonal is 1, so x and y are +-1/sqrt(2) * 1/2.
     # 4 channels: one frequency, 1; sin x, cos x, sin y, cos y.
