@@ -49,6 +49,8 @@ class ToyStage:
         self.bad_step = bad_step
         self.bad_gradient_step = bad_gradient_step
 
+    learns_whole = True
+
     def build_model(self) -> nn.Module:
         return nn.Sequential(nn.Linear(3, 8), nn.Dropout(self.dropout), nn.Linear(8, 1), Gain())
 

@@ -76,6 +76,19 @@ def test_only_the_tokenizer_gets_gradients_while_the_backbone_is_frozen(model, s
     model.zero_grad(set_to_none=True)
 
 
+@pytest.mark.parametrize("given", [0.0, 1.0])
+def test_every_step_reaches_all_of_the_tokenizer_which_ddp_is_promised(sample, given):
+    """Also where nothing is labelled: no group has a partner then."""
+    stage = TokenizerStage(replace(TINY, given_probability=given, seg_weight=0.0))
+    assert stage.learns_whole
+    empty = replace(sample, target_instances=torch.zeros_like(sample.target_instances))
+    for each in (sample, empty):
+        model = stage.build_model()
+        stage.loss(model, each, 0).total.backward()
+        assert all(p.grad is not None for p in model.own_parameters())
+    assert not TokenizerStage(replace(TINY, freeze_backbone=False)).learns_whole
+
+
 def test_not_a_number_in_the_renders_is_a_loss_that_is_not_finite(model, sample):
     """Not an error of the matching, so that the loop can save the batch."""
     broken = replace(sample, target=replace(sample.target, images=sample.target.images * np.nan))

@@ -92,6 +92,11 @@ class AdaptStage:
         self.config = config
         self.lpips = lpips_network(config.lpips_weight, config.lpips_file, config.lpips_name)
 
+    @property
+    def learns_whole(self) -> bool:
+        """No: the parts that are to learn may have some on which no pointmap depends."""
+        return False
+
     def build_model(self) -> PixelGaussians:
         """A new backbone with a new head."""
         return new_adapt_model(self.config)

@@ -137,7 +137,7 @@ def share(stage: Stage, model: nn.Module, processes: Processes, strategy: Strate
             f"strategy 'single' is for one process, got {processes.count}: choose ddp or fsdp"
         )
     if strategy != "fsdp":
-        return DistributedDataParallel(loss, find_unused_parameters=True)
+        return DistributedDataParallel(loss, find_unused_parameters=not stage.learns_whole)
     mesh = init_device_mesh(next(model.parameters()).device.type, (processes.count,))
     lists = [module for module in model.modules() if isinstance(module, nn.ModuleList)]
     units = [unit for members in lists for unit in members]

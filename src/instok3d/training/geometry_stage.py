@@ -40,6 +40,11 @@ class GeometryStage:
             raise ValueError("backbone.refinement_layers is 0: there is no refinement to train")
         self.config = config
 
+    @property
+    def learns_whole(self) -> bool:
+        """No: a step that tells the intrinsics does not ask for the focal length."""
+        return False
+
     def build_model(self) -> NanoBackbone:
         """A new backbone."""
         model = NanoBackbone(self.config.backbone)

@@ -30,6 +30,14 @@ class Stage(Protocol):
     averaged weights.
     """
 
+    @property
+    def learns_whole(self) -> bool:
+        """Whether the loss of every step depends on every trained parameter.
+
+        Otherwise DDP looks for those that it does not depend on, and torch warns if there are none.
+        """
+        ...
+
     def build_model(self) -> nn.Module:
         """A new model; parameters that are not to be trained do not require gradients."""
         ...

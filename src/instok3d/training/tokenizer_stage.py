@@ -100,6 +100,11 @@ class TokenizerStage:
         self.lpips = lpips_network(config.lpips_weight, config.lpips_file, config.lpips_name)
         self.cache = FeatureCache(config.cache) if config.cache else None
 
+    @property
+    def learns_whole(self) -> bool:
+        """With a frozen backbone. One that learns has parts that not every step asks."""
+        return self.config.freeze_backbone
+
     def build_model(self) -> Tokenizer:
         """A new tokenizer on a new backbone, which `load_initial` fills; on none with a cache."""
         backbone = self.cache.backbone(self.config.backbone) if self.cache else None
