@@ -85,6 +85,8 @@ class RunState:
     skipped_in_a_row: int = 0
     scene_names: list[str] = field(default_factory=list)
     """The scenes of the data set that this run uses, held-out ones first."""
+    image_size: tuple[int, int] | None = None
+    """Height and width of their pictures; known to the first process."""
 
 
 def save_checkpoint(
@@ -109,6 +111,7 @@ def save_checkpoint(
         "skipped": state.skipped,
         "skipped_in_a_row": state.skipped_in_a_row,
         "scene_names": state.scene_names,
+        "image_size": state.image_size,
         "config": json.dumps(config),
         "commit": current_commit(),
         "model": whole(dict(state.model.state_dict()), keep=processes.is_first),

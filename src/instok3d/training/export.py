@@ -35,7 +35,7 @@ def export_model(
         output: The .safetensors file; its folder must exist.
         half: Store float16.
         image_side: Height and width of the pictures it was trained on, to which reconstruction
-            brings photos, pixels; None = what its backbone is made for.
+            brings photos, pixels; None = the shorter side of the data set's.
         notes: Free text for the card: data, licence, limits.
 
     Raises:
@@ -54,7 +54,7 @@ def export_model(
     validation = [x for x in read_metrics(run / "metrics.jsonl") if x["kind"] == "validation"]
     card = {
         "name": output.stem,
-        "image_side": image_side or _image_side(stage),
+        "image_side": image_side or _image_side(checkpoint, stage),
         "steps": checkpoint["step"],
         "hours": round(checkpoint["elapsed_s"] / 3600, 2),
         "scenes": len(checkpoint["scene_names"]),
@@ -74,7 +74,10 @@ def export_model(
     return card
 
 
-def _image_side(stage: AdaptStageConfig | TokenizerStageConfig) -> int:
+def _image_side(checkpoint: dict[str, Any], stage: AdaptStageConfig | TokenizerStageConfig) -> int:
+    if checkpoint.get("image_size"):
+        return min(checkpoint["image_size"])
+    # Older checkpoints do not say; their runs were on pictures for which the backbone is made.
     return stage.backbone.img_size if isinstance(stage.backbone, VGGTConfig) else 128
 
 

@@ -159,6 +159,8 @@ def _prepared(
         write_config(folder, config, commit=current_commit())
         for views in config.validation_views:
             validation[views] = validation_samples(source, held_out, views)
+            height, width = validation[views][0].context.images.shape[-2:]
+            state.image_size = (height, width)
     return Run(config, stage, folder, processes, state, loss, batches, validation)
 
 
