@@ -109,4 +109,5 @@ def test_in_the_adapt_runs_the_backbone_learns_ten_times_slower_and_is_not_decay
 
 def test_real_estate_runs_measure_in_baselines():
     assert preset("re10k-2view").batches.unit == preset("re10k-adapt").batches.unit == "baseline"
+    assert preset("re10k-2view").masks == "sam2"
     assert preset("scannet-2view").batches.unit == preset("scannet-8view").batches.unit == "metre"

@@ -44,6 +44,21 @@ def test_geometry_run_and_its_continuation(tmp_path, capsys):
     assert "export a tokenizer run" in capsys.readouterr().err
 
 
+def test_the_masks_of_a_run_are_those_of_its_continuation(tmp_path, monkeypatch):
+    asked = []
+
+    def opened(folder, masks=None):
+        asked.append(masks)
+        return FakeRooms(3, size=32)
+
+    monkeypatch.setattr("instok3d.cli.train.open_training_scenes", opened)
+    run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path)]
+    assert main([*run, "--steps", "0", "--masks", "sam2", *SMALL]) == 0
+    assert read_config(tmp_path).masks == "sam2"
+    assert main([*run, "--resume", "--steps", "0"]) == 0
+    assert asked == ["sam2", "sam2"]
+
+
 def test_tokenizer_without_a_backbone_is_refused(tmp_path, capsys):
     assert main(["train", "nano-tokenizer", "--data", "rooms", "-o", str(tmp_path / "run")]) == 2
     assert "needs --init-from" in capsys.readouterr().err
@@ -104,6 +119,8 @@ def test_an_adapt_run_starts_a_tokenizer_run_and_exports_its_backbone(tmp_path, 
         (["--steps", "-3", "--dry-run"], "steps must be at least 0, got -3"),
         (["--accumulate", "0", "--dry-run"], "accumulate must be at least 1, got 0"),
         (["--clip-norm", "0", "--dry-run"], "clip_norm must be above 0"),
+        (["--device", "xpu9", "--dry-run"], "device must be cpu, cuda or cuda:N, got 'xpu9'"),
+        (["--validation-views", "--dry-run"], "validation_views must hold 2 or 8, got none"),
     ],
 )
 def test_counts_that_count_nothing_are_refused(words, told, capsys):

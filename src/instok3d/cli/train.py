@@ -36,9 +36,6 @@ class RunArguments:
     those of the training split are used."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
-    masks: str | None = None
-    """Learn from the masks that this model made (instok3d data masks), such as sam2, instead of
-    the true instance ids; to be given again on resuming."""
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
     them, except that one which is the preset's own cannot be told from one not given."""
@@ -77,7 +74,7 @@ def _command(name: str) -> Callable[..., None]:
                     "command that began it"
                 )
             config = overlay(begun, default, config)
-        source = open_training_scenes(arguments.data, masks=arguments.masks)
+        source = open_training_scenes(arguments.data, masks=config.masks)
         if arguments.dry_run:
             show_plan(arguments, config, source)
         else:

@@ -44,7 +44,7 @@ def cache(
     neither runs nor loads the backbone. Stop it at any time and give the same command again.
     """
     config = overlay(preset(arguments.preset), BASE, config)
-    source = open_training_scenes(arguments.data)
+    source = open_training_scenes(arguments.data, masks=config.masks)
     with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
 
         def on_scene(done: int, total: int) -> None:

@@ -1,6 +1,7 @@
 """Settings of a training run, how they are written to and read from JSON, and the presets."""
 
 import json
+import re
 import types
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -25,6 +26,9 @@ class TrainConfig:
     stage: GeometryStageConfig | AdaptStageConfig | TokenizerStageConfig
     """What is trained, with its sizes and losses."""
     batches: BatchConfig = field(default_factory=BatchConfig)
+    masks: str | None = None
+    """Learn from the masks that this model made (instok3d data masks), such as sam2, instead of
+    the true instance ids."""
     seed: int = 0
     steps: int = 20_000
     """Updates of the whole run."""
@@ -60,6 +64,7 @@ class TrainConfig:
     amp: bool = True
     """bfloat16 autocast; rendering, matching and camera maths stay float32."""
     device: str = "cpu"
+    """cpu; cuda, one GPU for each process; or cuda:N for one process alone."""
     threads: int | None = None
     """CPU threads; None = as torch chooses."""
     holdout: int = 24
@@ -80,6 +85,10 @@ class TrainConfig:
                 raise ValueError(f"{name} must be at least {least}, got {value}")
         if self.clip_norm <= 0:
             raise ValueError(f"clip_norm must be above 0, got {self.clip_norm}")
+        if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
+            raise ValueError(f"device must be cpu, cuda or cuda:N, got {self.device!r}")
+        if not self.validation_views:
+            raise ValueError("validation_views must hold 2 or 8, got none")
 
 
 _LEAST = {"steps": 0, "warmup_steps": 0, "accumulate": 1, "readers": 1, "log_every_steps": 1}
@@ -182,7 +191,7 @@ RE10K_ADAPT = replace(SCANNET_ADAPT, batches=_RE10K_PAIRS)
 """VGGT learns that the unit is the distance of the two contexts: RealEstate10K has no metres, so
 the rule of C3G has to be learned as ScanNet's metres have (App. C.1)."""
 
-RE10K_2VIEW = replace(SCANNET_2VIEW, batches=_RE10K_PAIRS)
+RE10K_2VIEW = replace(SCANNET_2VIEW, batches=_RE10K_PAIRS, masks="sam2")
 """The tokenizer on RealEstate10K with masks of SAM 2 (App. C.1: all else as on ScanNet).
 
 Frames by C3G's rule: contexts 25 frames apart at first, later 45 to 90, one new frame between them.
