@@ -10,7 +10,7 @@ import math
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,13 +132,20 @@ def decode_photo(
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming_damage(what: object, remedy: str = "download it again") -> Iterator[None]:
+    """Whatever a decoder of Pillow raises becomes a ValueError that names the picture."""
     try:
         yield
-    except _BROKEN as error:
+    except UnidentifiedImageError as error:  # which tells an address in memory
         raise ValueError(
-            f"{path} is damaged or cut off ({error}); copy it again or leave it out"
+            f"{what} is damaged or not of the wanted picture format; {remedy}"
         ) from error
+    except (*_BROKEN, Image.DecompressionBombError) as error:
+        raise ValueError(f"{what} is damaged or cut off ({error}); {remedy}") from error
+
+
+def _naming(path: Path) -> AbstractContextManager[None]:
+    return naming_damage(path, "copy it again or leave it out")
 
 
 def _read_bytes(path: Path, max_pixels: int) -> bytes:

@@ -95,7 +95,7 @@ def check_intrinsics(
     if not (0.3 < x / width < 0.7 and 0.3 < y / height < 0.7):
         raise ValueError(
             f"{what} has its principal point at ({x:g}, {y:g}) in pictures of {width} x {height}: "
-            "the intrinsics belong to another resolution"
+            "the intrinsics belong to another resolution; scale them to this one"
         )
 
 
@@ -111,7 +111,7 @@ def check_same_view(
     if abs(ratio - 1) > ASPECT_TOLERANCE:
         raise ValueError(
             f"{what} has {found[0]} x {found[1]} pixels, its picture {original_height} x "
-            f"{original_width}: not the same view"
+            f"{original_width}: not the same view; give the map of this picture"
         )
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8, UInt16
 from PIL import Image
 
 from instok3d.data.cropping import crop_about_principal_point, crop_image, crop_values
+from instok3d.data.image_decoding import naming_damage
 from instok3d.data.pixel_map import PixelMap
 from instok3d.data.poses import pose_fault
 from instok3d.data.prepared import DroppedFrame, PreparedFrame
@@ -178,7 +179,8 @@ def _cameras(
             intrinsics = np.array(arrays["camera_intrinsics"], dtype=np.float64)[:3, :3]
     except _UNREADABLE as error:
         raise ValueError(
-            f"{what} is damaged or lacks camera_pose or camera_intrinsics ({error})"
+            f"{what} is damaged or lacks camera_pose or camera_intrinsics ({error}); download it "
+            "again"
         ) from error
     if intrinsics.shape != (3, 3):
         raise ValueError(f"{what} has intrinsics of shape {intrinsics.shape}, wanted 3 x 3")
@@ -186,11 +188,9 @@ def _cameras(
 
 
 def _image(data: bytes, what: str) -> Image.Image:
-    try:
+    with naming_damage(what):
         image = Image.open(io.BytesIO(data), formats=["JPEG", "PNG"])
         image.load()
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{what} is damaged ({error}); download it again") from error
     return image
 
 

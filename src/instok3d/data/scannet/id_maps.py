@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt16
 from PIL import Image
 
+from instok3d.data.image_decoding import naming_damage
 from instok3d.files import replacing
 
 Kind = Literal["instance-filt", "label-filt"]
@@ -52,8 +53,11 @@ class IdMaps:
         self._members = {int(match[1]): name for match, name in found}
         if not self._members:
             self._archive.close()
-            some = ", ".join(name for name in names if not name.endswith("/")) or "nothing"
-            raise ValueError(f"{path} holds no {kind}/<frame>.png but {some[:80]}; is it another?")
+            files = [name for name in names if not name.endswith("/")]
+            some = f"{files[0]} and the like" if files else "nothing"
+            raise ValueError(
+                f"{path} holds no {kind}/<frame>.png but {some}; download the archive of {kind}"
+            )
 
     def __enter__(self) -> "IdMaps":
         return self
@@ -109,17 +113,21 @@ def read_id_png(data: bytes, what: str, picture_pixels: int) -> UInt16[np.ndarra
         ValueError: It is damaged, much larger than its picture, or not a picture of one whole
             number a pixel.
     """
-    try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            if image.width * image.height > MOST_TIMES_THE_PICTURE * picture_pixels:
-                raise ValueError(
-                    f"{image.width} x {image.height} pixels, its picture has far fewer"
-                )
-            mode, pixels = image.mode, np.asarray(image)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{what} is damaged or no PNG ({error})") from error
-    if mode not in ("L", "I;16", "I") or pixels.max(initial=0) > 65535:
-        raise ValueError(f"{what} has {mode} pixels, wanted 8-bit or 16-bit ids")
+    remedy = "wanted a PNG of ids; make or download it again"
+    with naming_damage(what, remedy):
+        image = Image.open(io.BytesIO(data), formats=["PNG"])
+    if image.width * image.height > MOST_TIMES_THE_PICTURE * picture_pixels:
+        raise ValueError(
+            f"{what} has {image.width} x {image.height} pixels, its picture only {picture_pixels} "
+            "in all; give the ids of this picture"
+        )
+    with naming_damage(what, remedy):
+        pixels = np.asarray(image)
+    if image.mode not in ("L", "I;16", "I") or pixels.max(initial=0) > 65535:
+        raise ValueError(
+            f"{what} has {image.mode} pixels, wanted a grey PNG of 8 or 16 bits whose values are "
+            "the ids"
+        )
     return pixels.astype(np.uint16)
 
 
@@ -133,7 +141,9 @@ def largest_instance(path: Path) -> int:
         groups = json.loads(path.read_text(encoding="utf-8"))["segGroups"]
         return max((int(group["id"]) + 1 for group in groups), default=0)
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged ({error!r}); download it again") from error
+        raise ValueError(
+            f"{path} is damaged or lacks segGroups with ids ({error}); download it again"
+        ) from error
 
 
 def write_id_maps(path: Path, kind: Kind, maps: Mapping[int, np.ndarray]) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 from PIL import Image
 
+from instok3d.data.image_decoding import naming_damage
 from instok3d.files import replacing
 
 VERSION = 4
@@ -95,20 +96,17 @@ class SensFile:
         """
         frame = self.frames[number]
         data = self._bytes(frame.color_start, frame.color_bytes, f"frame {number}")
-        try:
+        what = f"{self.path}: the JPEG of frame {number} (byte {frame.color_start})"
+        with naming_damage(what):
             image = Image.open(io.BytesIO(data), formats=["JPEG"])
-            image.load()
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-            raise ValueError(
-                f"{self.path}: the JPEG of frame {number} (byte {frame.color_start}) is damaged "
-                f"({error}); download the scan again"
-            ) from error
         if (image.height, image.width) != self.color_size:
             raise ValueError(
                 f"{self.path}: the JPEG of frame {number} has {image.height} x {image.width} "
-                f"pixels, the header says {self.color_size[0]} x {self.color_size[1]}"
+                f"pixels, the header says {self.color_size[0]} x {self.color_size[1]}; download "
+                "it again"
             )
-        return image.convert("RGB")
+        with naming_damage(what):
+            return image.convert("RGB")
 
     def depth_mm(self, number: int) -> UInt16[np.ndarray, "height width"]:
         """z-depth of a frame in millimetres, 0 = unknown.
@@ -125,12 +123,12 @@ class SensFile:
         except zlib.error as error:
             raise ValueError(
                 f"{self.path}: the depth of frame {number} (byte {frame.depth_start}) is damaged "
-                f"({error}); download the scan again"
+                f"({error}); download it again"
             ) from error
         if len(values) != 2 * height * width:
             raise ValueError(
                 f"{self.path}: the depth of frame {number} does not have the {height} x {width} "
-                "pixels that the header says"
+                "pixels that the header says; download it again"
             )
         depth = np.frombuffer(values, "<u2").reshape(height, width)
         if self.depth_shift == 1000:
@@ -140,7 +138,9 @@ class SensFile:
     def _read_header(self) -> None:
         version, name_bytes = struct.unpack("<IQ", self._next(12, "the header"))
         if version != VERSION or name_bytes > _LONGEST_NAME:
-            raise ValueError(f"{self.path} is not a .sens file of version {VERSION}")
+            raise ValueError(
+                f"{self.path} is not a .sens file of version {VERSION}; download it again"
+            )
         self._next(name_bytes, "the header")
         matrices = np.array(_MATRICES.unpack(self._next(_MATRICES.size, "the header")))
         (
@@ -160,7 +160,9 @@ class SensFile:
             )
         sides = (color_height, color_width, depth_height, depth_width)
         if not all(1 <= side <= _LARGEST_SIDE for side in sides) or not shift > 0:
-            raise ValueError(f"{self.path} has a damaged header: sizes {sides}, shift {shift}")
+            raise ValueError(
+                f"{self.path} has a damaged header: sizes {sides}, shift {shift}; download it again"
+            )
         self.color_size, self.depth_size = (color_height, color_width), (depth_height, depth_width)
         self.depth_shift, self.frame_count = float(shift), int(count)
         self.intrinsics = half_pixel_intrinsics(matrices.reshape(4, 4, 4)[2, :3, :3])
