@@ -122,17 +122,18 @@ def test_camera_files_with_frames_give_the_same_scene_as_a_chunk(tmp_path):
 def test_frames_that_cannot_be_used_are_dropped_counted_and_keep_the_numbers_of_the_others(
     tmp_path,
 ):
-    cameras = torch.tensor([camera(k) for k in range(5)])
+    cameras = torch.tensor([camera(k) for k in range(6)])
     cameras[1, 9] = math.nan
     cameras[2, 6] = 3.0
     cameras[3, 0] = 0.0
-    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1", 5, cameras=cameras)]})
+    cameras[4, :4] = torch.tensor([320.0, 320.0, 320.0, 180.0])  # in pixels
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1", 6, cameras=cameras)]})
     report = prepared(tmp_path / "in", tmp_path / "out")
     assert report.dropped == {
         "a pose that is not finite": 1, "a pose that is not rigid": 1,
-        "intrinsics that are not usable": 1,
+        "intrinsics that are not shares of the picture's size": 2,
     }  # fmt: skip
-    assert read_scene(tmp_path / "out/a1").sources == ("0", "4")
+    assert read_scene(tmp_path / "out/a1").sources == ("0", "5")
 
 
 def test_clips_of_another_size_or_too_wide_are_left_out_and_counted(tmp_path):
@@ -247,7 +248,7 @@ def test_one_bad_clip_is_reported_and_the_others_go_on(tmp_path):
     report = prepared(tmp_path / "in", tmp_path / "out")
     assert report.scenes == 2
     assert sorted(report.failed) == ["b2", "c3", "e5"]
-    assert "picture of frame 0 is damaged" in report.failed["b2"]
+    assert "000000.torch: the picture of frame 0 of clip b2 is damaged" in report.failed["b2"]
     assert "c3 has no frame" in report.failed["c3"]
     assert "lacks the clip e5" in report.failed["e5"]
 
@@ -262,7 +263,7 @@ def test_an_index_may_be_missing_but_not_lead_outside(tmp_path):
     # The folder of one split may be given itself.
     assert len(Re10kSource(tmp_path / "in/train").jobs()) == 2
     (tmp_path / "in/train/index.json").write_text('{"a1": "../000000.torch"}')
-    with pytest.raises(ValueError, match="which is not in its folder"):
+    with pytest.raises(ValueError, match="which is no name in its folder"):
         Re10kSource(tmp_path / "in").jobs()
     (tmp_path / "in/train/index.json").write_text("{")
     with pytest.raises(ValueError, match="not valid JSON"):
@@ -280,8 +281,10 @@ def test_folders_without_clips_and_missing_frames_are_told(tmp_path):
     row = " ".join(map(str, camera(0)))
     (tmp_path / "in/test/a1.txt").write_text(f"an address\n10 {row}\n20 {row}\n")
     (tmp_path / "in/test/b2.txt").write_text("an address\n10 1 2 3\n")
+    (tmp_path / "in/test/c3.txt").write_bytes(b"\xff\xfe")
     report = prepared(tmp_path / "in", tmp_path / "out")
-    assert "no frames of the clip a1" in report.failed["a1"]
+    assert "with the frames of the clip a1; say with --images" in report.failed["a1"]
+    assert "c3.txt is no camera file of RealEstate10K" in report.failed["c3"]
     assert "no camera file of RealEstate10K" in report.failed["b2"]
     (tmp_path / "frames/a1").mkdir(parents=True)
     (tmp_path / "frames/a1/20.jpg").write_bytes(jpeg())

@@ -21,10 +21,11 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from PIL import Image
 
 from instok3d.data.cropping import crop_image
+from instok3d.data.image_decoding import naming_damage
 from instok3d.data.pixel_map import PixelMap, fit_pixels
 from instok3d.data.poses import pose_fault
 from instok3d.data.preparation import Frames, LeftOutError, SceneJob, estimate_bytes
@@ -52,6 +53,8 @@ class Re10kClip:
     """One clip as it is stored."""
 
     key: str
+    source: Path
+    """The chunk or camera file."""
     cameras: Float[np.ndarray, "frame 18"]
     images: Sequence[bytes | Path]
     """JPEG or PNG of each frame: its bytes, or the file."""
@@ -140,9 +143,9 @@ def read_chunk(path: Path) -> dict[str, Any]:
             "off; fetch the chunk again from a source you trust"
         ) from error
     except _UNREADABLE as error:
-        reason = str(error).partition("\n")[0]
+        reason = str(error).partition("\n")[0].partition(". ")[0]
         raise ValueError(
-            f"{path} is cut off or no .torch file ({reason}); fetch it again"
+            f"{path} is cut off or no .torch file ({reason or 'it is empty'}); fetch it again"
         ) from error
     if not isinstance(rows, list):
         raise ValueError(f"{path} holds a {type(rows).__name__}, wanted a list of clips")
@@ -161,8 +164,8 @@ def read_camera_file(path: Path) -> tuple[Float[np.ndarray, "frame 18"], tuple[i
         FileNotFoundError: There is no such file.
         ValueError: It is no camera file of RealEstate10K, or lists no frame.
     """
-    lines = path.read_text(encoding="utf-8").splitlines()
     try:
+        lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split() for line in lines[1:] if line.strip()]  # the first is the address
         times = tuple(int(row[0]) for row in rows)
         cameras = np.array([[float(value) for value in row[1:]] for row in rows])
@@ -185,12 +188,14 @@ def _chunk_index(folder: Path) -> list[tuple[str, str]]:
     try:
         index = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{path} is not valid JSON ({error})") from error
+        raise ValueError(f"{path} is not valid JSON ({error}); fetch it again") from error
     if not isinstance(index, dict) or not all(isinstance(name, str) for name in index.values()):
         raise ValueError(f"{path} is no index: wanted the file name of a chunk for each clip")
     outside = [name for pair in index.items() for name in pair if not can_name_a_scene(name)]
     if outside:
-        raise ValueError(f"{path} names {outside[0]}, which is not in its folder")
+        raise ValueError(
+            f"{path} names {outside[0]!r}, which is no name in its folder; fetch it again"
+        )
     unlisted = [chunk.name for chunk in chunks if chunk.name not in set(index.values())]
     if unlisted:
         warnings.warn(
@@ -231,7 +236,7 @@ def _checked_clip(row: Any, path: Path, key: str) -> Re10kClip:
         raise ValueError(f"{path}: clip {key} has {len(cameras)} cameras but {count} images")
     if not all(isinstance(i, torch.Tensor) and i.dtype == torch.uint8 for i in images):
         raise ValueError(f"{path}: the images of clip {key} are not bytes (uint8)")
-    return Re10kClip(key, cameras.double().numpy(), _LazyBytes(images))
+    return Re10kClip(key, path, cameras.double().numpy(), _LazyBytes(images))
 
 
 class _LazyBytes(Sequence[bytes]):
@@ -261,32 +266,40 @@ def _clip_of_text(path: Path, places: Sequence[Path]) -> Re10kClip:
     cameras, times = read_camera_file(path)
     folder = next((place for place in places if place.is_dir()), None)
     if folder is None:
-        raise FileNotFoundError(f"there are no frames of the clip {path.stem} in {places[-1]}")
+        raise FileNotFoundError(
+            f"there is no folder {places[-1]} with the frames of the clip {path.stem}; say with "
+            "--images where they lie"
+        )
     by_time = {p.stem: p for p in folder.iterdir() if p.suffix.lower() in _IMAGE_ENDINGS}
     files = [by_time.get(str(time), folder / f"{time}.jpg") for time in times]
-    return Re10kClip(path.stem, cameras, files)
+    return Re10kClip(path.stem, path, cameras, files)
 
 
 def _frames_of(clip: Callable[[], Re10kClip], size: int) -> Frames:
     clip_ = clip()
     if not len(clip_.images):
-        raise ValueError(f"the clip {clip_.key} has no frame")
+        raise ValueError(f"{clip_.source}: the clip {clip_.key} has no frame")
     widest = _field_of_view_rad(clip_.cameras)
     if widest > MAX_FIELD_OF_VIEW_RAD:
         raise LeftOutError("a field of view over 100 degrees")
     pixel_map = fit_pixels(HEIGHT, WIDTH, size, size)
     for number, (camera, data) in enumerate(zip(clip_.cameras, clip_.images, strict=True)):
-        yield _frame(number, camera, data, pixel_map)
+        place = f"{clip_.source}: the picture of frame {number} of clip {clip_.key}"
+        yield _frame(number, camera, data, pixel_map, place)
 
 
 def _frame(
-    number: int, camera: Float[np.ndarray, "18"], data: bytes | Path, pixel_map: PixelMap
+    number: int,
+    camera: Float[np.ndarray, "18"],
+    data: bytes | Path,
+    pixel_map: PixelMap,
+    place: str,
 ) -> PreparedFrame | DroppedFrame:
     cam_from_world = np.eye(4)
     cam_from_world[:3] = camera[6:].reshape(3, 4)
     fault = pose_fault(cam_from_world)
-    if fault is None and not (np.isfinite(camera[:4]).all() and camera[:2].min() > 0):
-        fault = "intrinsics that are not usable"
+    if fault is None and not _usable(camera[None, :4])[0]:
+        fault = "intrinsics that are not shares of the picture's size"
     if fault is not None:
         return DroppedFrame(str(number), fault)
     if isinstance(data, Path) and not data.is_file():
@@ -296,30 +309,32 @@ def _frame(
     intrinsics = torch.tensor(rows, dtype=torch.float64)
     return PreparedFrame(
         source=str(number),
-        image=crop_image(_decoded(data, number), pixel_map),
+        image=crop_image(_decoded(data, place), pixel_map),
         world_from_cam=invert_rigid(torch.from_numpy(cam_from_world)).numpy(),
         intrinsics=pixel_map.intrinsics_to_model(intrinsics).numpy(),
     )
 
 
-def _decoded(data: bytes | Path, number: int) -> Image.Image:
-    try:
-        image = Image.open(
-            io.BytesIO(data) if isinstance(data, bytes) else data, formats=("JPEG", "PNG")
-        )
-        size = image.size
-        image.load()
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"the picture of frame {number} is damaged ({error})") from error
-    if size != (WIDTH, HEIGHT):
+def _decoded(data: bytes | Path, place: str) -> Image.Image:
+    with naming_damage(place):
+        file = io.BytesIO(data) if isinstance(data, bytes) else data
+        image = Image.open(file, formats=("JPEG", "PNG"))
+    if image.size != (WIDTH, HEIGHT):
         raise LeftOutError(f"pictures that are not {WIDTH} x {HEIGHT}")
-    return image
+    with naming_damage(place):
+        return image.convert("RGB")
+
+
+def _usable(intrinsics: Float[np.ndarray, "frame 4"]) -> Bool[np.ndarray, " frame"]:
+    """Whether fx, fy, cx, cy can be shares of a picture's size; in pixels cx is far above 1."""
+    focal, center = intrinsics[:, :2], intrinsics[:, 2:]
+    inside = (focal > 0).all(axis=1) & (center > 0).all(axis=1) & (center < 1).all(axis=1)
+    return np.isfinite(intrinsics).all(axis=1) & inside
 
 
 def _field_of_view_rad(cameras: Float[np.ndarray, "frame 18"]) -> float:
     """The widest field of view, horizontal or vertical, of the usable cameras of a clip."""
-    focal, center = cameras[:, :2], cameras[:, 2:4]
-    usable = np.isfinite(cameras[:, :4]).all(axis=1) & (focal > 0).all(axis=1)
-    focal, center = focal[usable], center[usable]
+    usable = cameras[_usable(cameras[:, :4])]
+    focal, center = usable[:, :2], usable[:, 2:4]
     angles = np.arctan(center / focal) + np.arctan((1 - center) / focal)
     return float(angles.max(initial=0.0))
