@@ -166,7 +166,7 @@ SHEARED = [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (scene(frames=_frame(MIRRORED)), "mirrored camera"),
+        (scene(frames=_frame(MIRRORED)), "json: a.jpg has a mirrored camera"),
         (scene(frames=_frame(SHEARED)), "not orthonormal"),
         (scene(frames=_frame([[math.nan] * 4] * 4)), "not finite"),
         (scene(frames=_frame([[1, 0], [0, 1]])), r"matrix of \[2, 2\], wanted 4 x 4"),

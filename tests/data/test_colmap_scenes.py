@@ -95,7 +95,7 @@ def test_bad_scenes_are_refused_with_a_reason_and_others_go_on(tmp_path):
     report = prepared(ColmapSource(tmp_path / "in", size=16), tmp_path / "out")
     assert report.scenes == 1
     assert "cut off" in report.failed["cut"]
-    assert "OPENCV_FISHEYE is not supported; undistort" in report.failed["fisheye"]
+    assert "a.png: COLMAP's lens model OPENCV_FISHEYE is not supported" in report.failed["fisheye"]
     assert "image of 160 x 120, but the photo has 99 x 99" in report.failed["other_size"]
 
 

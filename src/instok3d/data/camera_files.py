@@ -149,12 +149,19 @@ def _read_colmap(folder: Path) -> tuple[PhotoCamera, ...]:
             name=image.name,
             height=image.camera.height,
             width=image.camera.width,
-            intrinsics=_intrinsics(*image.camera.pinhole),
+            intrinsics=_intrinsics(*_pinhole(image, folder)),
             cam_from_world=rigid(image.rotation, image.translation),
             distortion=image.camera.distortion,
         )
         for image in colmap_files.read_model(folder)
     )
+
+
+def _pinhole(image: colmap_files.ColmapImage, folder: Path) -> tuple[float, float, float, float]:
+    try:
+        return image.camera.pinhole
+    except ValueError as error:
+        raise ValueError(f"{folder}, {image.name}: {error}") from error
 
 
 def _read_json(path: Path) -> CameraSet:
@@ -178,13 +185,15 @@ def _read_json(path: Path) -> CameraSet:
 
 def _scene_frame(path: Path, data: dict[str, Any], frame: dict[str, Any]) -> PhotoCamera:
     """scene.json: world_from_cam in OpenCV axes (its key is c2w), metres."""
-    depth = frame.get("depth")
+    depth, name = frame.get("depth"), str(frame["color"])
     return PhotoCamera(
-        name=str(frame["color"]),
+        name=name,
         height=int(_number(data, "height", path)),
         width=int(_number(data, "width", path)),
         intrinsics=_matrix(frame.get("K", data.get("K")), 3, path),
-        cam_from_world=invert_rigid(_checked_rigid(_matrix(frame["c2w"], 4, path), path)),
+        cam_from_world=invert_rigid(
+            _checked_rigid(_matrix(frame["c2w"], 4, path), f"{path}: {name}")
+        ),
         depth_path=None if depth is None else path.parent / str(depth),
         depth_scale=_number(data, "depth_scale", path, 1000.0),
     )
@@ -214,7 +223,7 @@ def _transforms_frame(path: Path, frame: dict[str, Any]) -> PhotoCamera:
         height=height,
         width=width,
         intrinsics=_intrinsics(fx, fy, cx, cy),
-        cam_from_world=invert_rigid(_checked_rigid(world_from_cam, path)),
+        cam_from_world=invert_rigid(_checked_rigid(world_from_cam, f"{path}: {name}")),
         distortion=(k1, k2, p1, p2),
         depth_path=None if depth is None else path.parent / str(depth),
         depth_scale=1.0 / _number(frame, "depth_unit_scale_factor", path, 1e-3),
@@ -257,20 +266,20 @@ def _intrinsics(fx: float, fy: float, cx: float, cy: float) -> Float[Tensor, "3 
     return torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
 
-def _checked_rigid(matrix: Float[Tensor, "4 4"], source: Path) -> Float[Tensor, "4 4"]:
+def _checked_rigid(matrix: Float[Tensor, "4 4"], what: str) -> Float[Tensor, "4 4"]:
     """The nearest exactly rigid transform, which must be near."""
     rotation, translation = matrix[:3, :3], matrix[:3, 3]
     if not matrix.isfinite().all():
-        raise ValueError(f"{source} has a camera whose transform is not finite")
+        raise ValueError(f"{what} has a camera whose transform is not finite")
     if (matrix[3] - matrix.new_tensor([0.0, 0.0, 0.0, 1.0])).abs().max() > 1e-6:
-        raise ValueError(f"{source} has a transform whose last row is not 0 0 0 1")
+        raise ValueError(f"{what} has a transform whose last row is not 0 0 0 1")
     error = (rotation @ rotation.T - torch.eye(3, dtype=matrix.dtype)).abs().max()
     if error > 5e-3:
         raise ValueError(
-            f"{source} has a camera whose rotation is not orthonormal (off by {float(error):.2g})"
+            f"{what} has a camera whose rotation is not orthonormal (off by {float(error):.2g})"
         )
     if torch.linalg.det(rotation) < 0:
-        raise ValueError(f"{source} has a mirrored camera (its rotation is left-handed)")
+        raise ValueError(f"{what} has a mirrored camera (its rotation is left-handed)")
     u, _, vh = torch.linalg.svd(rotation)
     return rigid(u @ vh, translation)
 
@@ -290,5 +299,5 @@ def _checked(camera: PhotoCamera, source: Path) -> PhotoCamera:
         )
     if not math.isfinite(camera.depth_scale) or camera.depth_scale <= 0:
         raise ValueError(f"{source}: the depth scale must be above 0, got {camera.depth_scale}")
-    _checked_rigid(camera.cam_from_world, source)
+    _checked_rigid(camera.cam_from_world, f"{source}: {name}")
     return camera
