@@ -102,7 +102,8 @@ def read_scene(folder: Path) -> SceneRecord:
         ValueError: The scene.json is damaged or of another format.
     """
     path = folder / RECORD
-    record = read_json(path, FORMAT)
+    remedy = f"delete the folder {folder} and prepare it again"
+    record = read_json(path, FORMAT, remedy)
     try:
         info = SceneInfo(
             **{key: record[key] for key in ("name", "dataset", "split", "unit", "settings")}
@@ -121,13 +122,16 @@ def read_scene(folder: Path) -> SceneRecord:
             },
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(
-            f"{path} is damaged ({error}); delete the folder {folder} and prepare it again"
-        ) from error
+        raise ValueError(f"{path} is damaged ({error}); {remedy}") from error
 
 
-def read_json(path: Path, wanted: str) -> dict[str, Any]:
+def read_json(path: Path, wanted: str, remedy: str) -> dict[str, Any]:
     """A JSON object that says it has the wanted format.
+
+    Args:
+        path: The file.
+        wanted: The format.
+        remedy: What to do about a damaged one.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -138,9 +142,9 @@ def read_json(path: Path, wanted: str) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged ({error}); prepare it again") from error
+        raise ValueError(f"{path} is damaged ({error}); {remedy}") from error
     if not isinstance(value, dict) or value.get("format") != wanted:
-        raise ValueError(f"{path} is not of the format {wanted}")
+        raise ValueError(f"{path} is not of the format {wanted}; {remedy}")
     return value
 
 

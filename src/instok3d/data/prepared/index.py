@@ -23,7 +23,7 @@ def refresh_index(folder: Path) -> dict[str, Any]:
         ValueError: A scene's record is damaged.
     """
     try:
-        known = read_json(folder / INDEX, INDEX_FORMAT)["scenes"]
+        known = read_json(folder / INDEX, INDEX_FORMAT, "")["scenes"]
     except (FileNotFoundError, ValueError, KeyError):
         known = {}  # everything in it is derived from the folders
     scenes, datasets = {}, set()
@@ -62,12 +62,11 @@ def read_index(folder: Path) -> dict[str, dict[str, Any]]:
             f"there is no {INDEX} in {folder}; make it with `instok3d data prepare`, or with "
             "`instok3d data verify --index` where scenes lie there already"
         )
-    scenes = read_json(folder / INDEX, INDEX_FORMAT).get("scenes")
+    remedy = f"run `instok3d data verify --index {folder}`"
+    scenes = read_json(folder / INDEX, INDEX_FORMAT, remedy).get("scenes")
     wanted = {"split", "num_frames", "sha256"}
     if not isinstance(scenes, dict) or not all(
         isinstance(scene, dict) and wanted <= scene.keys() for scene in scenes.values()
     ):
-        raise ValueError(
-            f"{folder / INDEX} is damaged; run `instok3d data verify --index {folder}`"
-        )
+        raise ValueError(f"{folder / INDEX} is damaged; {remedy}")
     return scenes
