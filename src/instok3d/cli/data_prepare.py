@@ -9,6 +9,7 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import Positional, arg, subcommand
 
+from instok3d.cli.progress import plain_warnings
 from instok3d.data.colmap_scenes import ColmapSource, MipNeRF360Source
 from instok3d.data.footage import FootageSource
 from instok3d.data.preparation import PreparationReport, plan_preparation
@@ -85,6 +86,11 @@ Arguments = (
 
 def prepare(arguments: Annotated[Arguments, arg(name="")]) -> int:
     """Bring a data set into a folder that training reads; run it again to go on after a stop."""
+    with plain_warnings():
+        return _prepare(arguments)
+
+
+def _prepare(arguments: Arguments) -> int:
     plan = plan_preparation(arguments.jobs(), arguments.output)
     print(
         f"{len(plan.jobs)} scenes to prepare, {plan.skipped} already there; about "

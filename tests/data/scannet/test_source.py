@@ -75,6 +75,15 @@ def test_short_scans_are_left_out_and_counted_but_not_those_of_the_test(tmp_path
     assert ScanNetSource(tmp_path).min_frames == 33  # Uni3R leaves out scans of 32 or fewer
 
 
+def test_scan_folders_without_a_sens_are_told(tmp_path: Path):
+    write_scan(tmp_path / "scans", "scene0000_00", 1)
+    (tmp_path / "scans" / "scene0001_00").mkdir()
+    (tmp_path / "scans" / "notes").mkdir()
+    for place in (tmp_path, tmp_path / "scans"):
+        with pytest.warns(UserWarning, match=r"1 scans .* no \.sens, such as scene0001_00"):
+            assert list(splits(ScanNetSource(place))) == ["scene0000_00"]
+
+
 def test_names_that_are_no_scans_are_left_out_with_a_warning(tmp_path: Path):
     write_scan(tmp_path, "scene0000_00", 1)
     write_scan(tmp_path, "scene0707_00", 1)

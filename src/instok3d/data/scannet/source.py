@@ -23,6 +23,7 @@ from instok3d.data.scannet.exported import FileTree, lsm_frames, processed_frame
 from instok3d.data.scannet.sens import SensFile
 from instok3d.data.scannet.splits import (
     POSE_FRAMES,
+    SCAN_NAME,
     TEST_LIST,
     TEST_POOL,
     SceneList,
@@ -89,6 +90,7 @@ class ScanNetSource:
         scans = {path.stem: path for path in _lying(self.folder, "scans", "*.sens")}
         if not scans:
             return []
+        _warn_of_scans_without_sens(scans)
         test = _raw_test_scenes(self.folder, scans)
         layers = ["images", "depths"] + self.instances * ["instances"] + self.labels * ["labels"]
         settings = {"layout": "sens", "stride": self.stride, "layers": layers}
@@ -150,6 +152,18 @@ def _lying(folder: Path, usual: str, name: str) -> list[Path]:
     """`{scan}/{name}` in the folder, in its usual subfolder, or with the folder as the scan."""
     places = (folder.glob(f"*/{name}"), folder.glob(f"{usual}/*/{name}"), folder.glob(name))
     return next((found for place in places if (found := sorted(place))), [])
+
+
+def _warn_of_scans_without_sens(scans: dict[str, Path]) -> None:
+    places = {sens.parent.parent for name, sens in scans.items() if sens.parent.name == name}
+    folders = {path.name for place in places for path in place.iterdir() if path.is_dir()}
+    lacking = sorted(n for n in folders - scans.keys() if SCAN_NAME.fullmatch(n))
+    if lacking:
+        warnings.warn(
+            f"{len(lacking)} scans are left out because their folders have no .sens, such as "
+            f"{lacking[0]}; download them",
+            stacklevel=4,
+        )
 
 
 def _raw_frames(sens: Path, source: ScanNetSource) -> Frames:
