@@ -28,20 +28,31 @@ from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evalua
 from instok3d.types import TokenGroups, Views
 
 
-def prepared(folder: Path, dataset: Dataset = "scannet", *, names=("a",), truth: bool = True):
-    """Hand-made rooms of 16 frames as a prepared test folder; without truth photos and cameras."""
+def prepared(
+    folder: Path,
+    dataset: Dataset = "scannet",
+    *,
+    names=("a",),
+    truth: bool = True,
+    num_frames: int = 16,
+    standing: tuple[int, ...] = (),
+):
+    """Hand-made rooms of 16 frames as a prepared test folder; without truth photos and cameras.
+
+    At standing frames the camera is where it was at frame 0.
+    """
     room = flat_room()
     for name in names:
         frames = [
             PreparedFrame(
                 source=str(k),
                 image=room.images[k],
-                world_from_cam=room.world_from_cam[k].astype(np.float64),
+                world_from_cam=room.world_from_cam[0 if k in standing else k].astype(np.float64),
                 intrinsics=room.intrinsics[k].astype(np.float64),
                 depth_thousandths=(room.depths_m[k] * 1000).astype(np.uint16) if truth else None,
                 instances=room.instances[k].astype(np.uint16) if truth else None,
             )
-            for k in range(16)
+            for k in range(num_frames)
         ]
         unit = "metre" if dataset == "scannet" else "arbitrary"
         write_scene(folder, SceneInfo(name, dataset, "test", unit), frames)
@@ -163,6 +174,24 @@ def test_the_index_of_re10k_leaves_scenes_out_with_a_warning(tmp_path: Path):
     cameras = found[0].samples[0].context.cam_from_world
     assert cameras is not None
     assert float(cameras[0, 1, :3, 3].norm()) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore:scene a has no sample")
+def test_a_scene_too_short_for_eight_views_is_left_out_with_a_warning(tmp_path: Path):
+    prepared(tmp_path, names=("a",), num_frames=14)
+    scenes = prepared(tmp_path, names=("b",))
+    with pytest.warns(UserWarning, match="scene a: the eight-view protocol needs 15 frames"):
+        found = list(protocol_scenes(scenes, "scannet-8view", frame_chooser("scannet-8view")))
+    assert [scene.name for scene in found] == ["b"]
+
+
+def test_a_sample_without_baseline_is_left_out_alone(tmp_path: Path):
+    scenes = prepared(tmp_path, "mipnerf360", truth=False, standing=(4,))
+    choose = frame_chooser("mipnerf360-2view", all_targets=True)
+    with pytest.warns(UserWarning, match="scene a") as said:
+        (scene,) = protocol_scenes(scenes, "mipnerf360-2view", choose)
+    assert len(said) == 1  # contexts 0 and 4 stand at one place; 4 and 8, 8 and 12 do not
+    assert len(scene.samples) == 2
 
 
 def test_a_protocol_refuses_another_data_set(tmp_path: Path):

@@ -61,7 +61,7 @@ def frame_chooser(
             )
         return lambda scenes, number: _indexed_choices(scenes, number, re10k_index)
     if protocol == "scannet-8view":
-        return lambda scenes, number: [eight_view_protocol(scenes.num_frames(number))]
+        return _eight_view_choices
     if protocol == "scannet-2view":
         return lambda scenes, number: lsm_protocol(scenes.num_frames(number))
 
@@ -106,10 +106,15 @@ def protocol_scenes(
         unit = "metre" if info.unit == "metre" else "baseline"
         samples = []
         try:
-            for choice in choose(scenes, number):
-                samples.append(make_sample(scenes, number, choice, unit=unit))
-        except (NoBaselineError, UnusableSceneError) as error:
+            choices = choose(scenes, number)
+        except UnusableSceneError as error:
             warnings.warn(f"scene {info.name}: {error}", stacklevel=2)
+            choices = []
+        for choice in choices:
+            try:
+                samples.append(make_sample(scenes, number, choice, unit=unit))
+            except NoBaselineError as error:
+                warnings.warn(f"scene {info.name}: {error}", stacklevel=2)
         if samples:
             yield ProtocolScene(info.name, None, tuple(samples))
         else:
@@ -137,6 +142,13 @@ def read_re10k_index(path: Path) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"{path} is no evaluation index of RealEstate10K: {error}") from error
     return index
+
+
+def _eight_view_choices(scenes: PreparedScenes, number: int) -> list[FrameChoice]:
+    try:
+        return [eight_view_protocol(scenes.num_frames(number))]
+    except ValueError as error:
+        raise UnusableSceneError(str(error)) from error
 
 
 def _indexed_choices(
