@@ -5,14 +5,12 @@ from pathlib import Path
 
 from torch import Tensor
 
+from instok3d.model.backbone import depth_anything3
 from instok3d.model.backbone.base import GeometryBackbone
-from instok3d.model.backbone.depth_anything3 import (
-    DepthAnything3Backbone,
-    DepthAnything3Config,
-)
+from instok3d.model.backbone.depth_anything3 import DepthAnything3Backbone, DepthAnything3Config
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
-from instok3d.model.backbone.vggt.weights import from_published, is_published
+from instok3d.model.backbone.vggt import weights as vggt_weights
 from instok3d.model.weights import weights_path
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.training.feature_cache import of_backbone
@@ -31,13 +29,12 @@ def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> 
         RuntimeError: They do not fit.
     """
     inner = of_backbone(weights)
-    if isinstance(backbone, DepthAnything3Backbone) and any(n.startswith("model.") for n in inner):
-        backbone.net.load_state_dict({n.removeprefix("model."): v for n, v in inner.items()})
-        return
-    if isinstance(backbone, VGGTBackbone) and is_published(inner):
-        backbone.vggt.load_state_dict(from_published(inner, backbone.config))
-        return
-    backbone.load_state_dict(inner)
+    if isinstance(backbone, DepthAnything3Backbone) and depth_anything3.is_published(inner):
+        backbone.net.load_state_dict(depth_anything3.from_published(inner))
+    elif isinstance(backbone, VGGTBackbone) and vggt_weights.is_published(inner):
+        backbone.vggt.load_state_dict(vggt_weights.from_published(inner, backbone.config))
+    else:
+        backbone.load_state_dict(inner)
 
 
 def lpips_network(weight: float, file: Path | None, name: str) -> Lpips | None:

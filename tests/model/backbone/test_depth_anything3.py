@@ -13,6 +13,8 @@ from instok3d.model.backbone.depth_anything3 import (
     load_depth_anything3_weights,
 )
 from instok3d.model.backbone.registry import build_backbone
+from instok3d.training.checkpoint import read_weights
+from instok3d.training.first_weights import load_backbone
 from instok3d.types import Views
 
 TINY = DepthAnything3Config(size="tiny")
@@ -64,6 +66,27 @@ def test_what_is_given_stands(backbone, rng):
     torch.testing.assert_close(geometry.cameras.intrinsics, intrinsics)
 
 
+def test_under_autocast_the_geometry_stays_near_float32_and_in_it(backbone, rng):
+    views = photos(rng)
+    with torch.no_grad():
+        plain = backbone(views)
+        with torch.autocast("cpu", torch.bfloat16):
+            narrow = backbone(views)
+    for name in ("depths", "confidences", "pointmaps"):
+        found = getattr(narrow, name)
+        assert found.dtype == torch.float32
+        torch.testing.assert_close(found, getattr(plain, name), atol=2e-2, rtol=1e-2)
+
+
+def test_a_gradient_reaches_all_that_the_geometry_depends_on(backbone, rng):
+    geometry = backbone(photos(rng))
+    (geometry.pointmaps.sum() + geometry.confidences.sum()).backward()
+    without = {name for name, p in backbone.named_parameters() if p.grad is None}
+    backbone.zero_grad(set_to_none=True)
+    # Given cameras and rays: what the package can do besides.
+    assert all("cam_enc." in name or "_aux." in name for name in without)
+
+
 def test_nothing_is_written_to_standard_output(backbone, rng, capsys):
     with torch.no_grad():
         backbone(photos(rng))
@@ -79,9 +102,11 @@ def test_published_weights_are_read_whole(backbone, tmp_path):
     path = tmp_path / "model.safetensors"
     state = {f"model.{name}": value + 1 for name, value in backbone.net.state_dict().items()}
     save_file(state, path)
-    again = load_depth_anything3_weights(path, TINY)
+    again, first = load_depth_anything3_weights(path, TINY), DepthAnything3Backbone(TINY)
+    load_backbone(first, read_weights(path))
     for name, value in again.net.state_dict().items():
         assert value.equal(state[f"model.{name}"])
+        assert value.equal(first.net.state_dict()[name])
     del state["model.cam_dec.fc_t.bias"]
     save_file(state, path)
     with pytest.raises(ValueError, match=r"(?s)does not hold Depth .* tiny.*cam_dec\.fc_t\.bias"):

@@ -1,6 +1,7 @@
 """Depth Anything 3 as a geometry backbone; the only file that imports the package."""
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -8,7 +9,7 @@ from typing import Any, Literal
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from torch import nn
+from torch import Tensor, nn
 
 from instok3d.geometry.cameras import rigid
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
@@ -17,6 +18,8 @@ from instok3d.types import Geometry, Views
 PATCH = 14
 IMAGE_MEAN = (0.485, 0.456, 0.406)
 IMAGE_STD = (0.229, 0.224, 0.225)
+PUBLISHED = "model."
+"""Before every name in a published file: the package's class around the network."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ class DepthAnything3Backbone(GeometryBackbone):
     """Features, depth and cameras of Depth Anything 3 (arXiv 2511.10647).
 
     Features are the normalised patch tokens of the last block. What the views give stands in for
-    the prediction; the network itself sees the photos alone. The first view is its reference.
+    the prediction; the network itself sees the photos alone. The first view is its reference. Its
+    parts for given cameras and for rays are never asked, so they get no gradient.
     """
 
     patch_size = PATCH
@@ -68,6 +72,8 @@ class DepthAnything3Backbone(GeometryBackbone):
 
     def forward(self, views: Views) -> Geometry:
         """Geometry of the views, which holds what they give.
+
+        May run under autocast, which the package turns off in its heads. Differentiable.
 
         Raises:
             ValueError: The image size is no multiple of 14.
@@ -115,8 +121,7 @@ def load_depth_anything3_weights(
     if not path.is_file():
         raise FileNotFoundError(f"no weights {path}; give model.safetensors of Depth Anything 3")
     try:
-        state = {name.removeprefix("model."): value for name, value in load_file(path).items()}
-        backbone.net.load_state_dict(state, strict=True)
+        backbone.net.load_state_dict(from_published(load_file(path)))
     except SafetensorError as error:
         raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
     except RuntimeError as error:
@@ -124,6 +129,16 @@ def load_depth_anything3_weights(
             f"{path} does not hold Depth Anything 3 {backbone.config.size}: {error}"
         ) from error
     return backbone.eval()
+
+
+def is_published(state: Mapping[str, Tensor]) -> bool:
+    """Whether these are weights under the published names, all of which begin with `model.`."""
+    return bool(state) and all(name.startswith(PUBLISHED) for name in state)
+
+
+def from_published(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The state dict of the package's network from published weights."""
+    return {name.removeprefix(PUBLISHED): value for name, value in state.items()}
 
 
 class _Encoder(nn.Module):
