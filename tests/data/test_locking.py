@@ -1,5 +1,6 @@
 """A lock keeps others out for as long as its holder lives, and leaves nothing behind."""
 
+import errno
 import fcntl
 import os
 import subprocess
@@ -54,3 +55,13 @@ def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Pa
     monkeypatch.setattr(fcntl, "flock", lambda *_: os.unlink(lock))
     with pytest.raises(ValueError, match="wait"), alone_in(lock, "wait"):
         pass
+
+
+def test_a_disk_without_locks_is_used_with_a_warning(tmp_path: Path, monkeypatch):
+    def without(*_) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", without)
+    with pytest.warns(UserWarning, match="has no locks"), alone_in(tmp_path / ".lock", "wait"):
+        pass
+    assert not (tmp_path / ".lock").exists()

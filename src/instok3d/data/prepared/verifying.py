@@ -9,7 +9,7 @@ from instok3d.data.prepared.index import INDEX, read_index, scene_folders
 from instok3d.data.prepared.masks import MASKS_RECORD, read_masks_record
 
 UNFINISHED = (".part", ".old")
-LEFT = "was left by a run that was stopped; delete it"
+LEFT = "was left by a run that was stopped, or is of one at work; delete it if none is"
 
 
 @dataclass(frozen=True)
