@@ -58,18 +58,19 @@ def masks(
 
     automatic = AutomaticConfig(points_per_side=points_per_side)
     association = AssociationConfig(keyframe_step=keyframe_step, reentry_frames=reentry_frames)
-    clips = _clips(folder, output, model, scenes)
+    clips, unreadable = _clips(folder, output, model, scenes)
     with plain_warnings():
         labeller = Sam2(_weights_folder(weights, size), automatic, device)
         done, failed = _label_all(clips, labeller, LabelConfig(association), overwrite=overwrite)
+    failed |= unreadable
     print(_as_json(done, failed) if json else _as_table(done, failed))
     return FAILED if failed else 0
 
 
 def _clips(
     folder: Path, output: Path | None, model: str, wanted: tuple[str, ...]
-) -> "dict[str, Clip]":
-    """The clips of a folder by name."""
+) -> "tuple[dict[str, Clip], dict[str, str]]":
+    """The clips of a folder by name, and what is wrong with those that cannot be read."""
     from instok3d.data.image_files import find_images
     from instok3d.data.prepared import scene_folders
     from instok3d.data.pseudo_labels.writing import footage_clip, scene_clip
@@ -85,7 +86,7 @@ def _clips(
             )
         if wanted:
             raise ValueError(f"--scenes chooses from a prepared folder, and {folder} is none")
-        return {folder.name: footage_clip(find_images(folder), output)}
+        return {folder.name: footage_clip(find_images(folder), output)}, {}
     if output is not None:
         raise ValueError(
             f"{folder} is a prepared folder: its masks go into it, -o is for a folder of pictures"
@@ -93,7 +94,15 @@ def _clips(
     unknown = [name for name in wanted if name not in prepared]
     if unknown:
         raise KeyError(f"{folder} has no scene {unknown[0]}; it has {', '.join([*prepared][:5])}")
-    return {name: scene_clip(prepared[name], model) for name in wanted or prepared}
+    clips: dict[str, Clip] = {}
+    unreadable: dict[str, str] = {}
+    for name in wanted or prepared:
+        try:
+            clips[name] = scene_clip(prepared[name], model)
+        except ValueError as error:
+            unreadable[name] = str(error)
+            print(f"instok3d: {name}: {error}", file=sys.stderr)
+    return clips, unreadable
 
 
 def _weights_folder(given: Path | None, size: str) -> Path:

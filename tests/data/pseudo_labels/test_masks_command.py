@@ -46,12 +46,14 @@ def test_scenes_are_labelled_resumed_and_reported(tmp_path, weights, capsys):
 
 @needs_transformers
 @pytest.mark.filterwarnings("ignore:no mask was found")
-def test_one_damaged_scene_does_not_stop_the_others(tmp_path, weights, capsys):
-    folder = made_folder(tmp_path, {"a": "train", "b": "train"}, num_frames=2)
+def test_damaged_scenes_do_not_stop_the_others(tmp_path, weights, capsys):
+    folder = made_folder(tmp_path, {"a": "train", "b": "train", "c": "train"}, num_frames=2)
     (folder / "a" / "images" / "000001.png").write_bytes(b"")
+    (folder / "c" / "scene.json").write_text("{")
     assert masks(folder, "--weights", weights) == BAD_INPUT
     shown = capsys.readouterr()
-    assert "1 clips labelled, 0 there already, 1 failed" in shown.out
+    assert "1 clips labelled, 0 there already, 2 failed" in shown.out
+    assert "c/scene.json is damaged" in shown.err
     assert "000001.png cannot be read as a picture" in shown.err
     assert (folder / "b" / "masks_sam2" / "masks.json").is_file()
 

@@ -187,6 +187,11 @@ def _images(
                 picture = ImageOps.exif_transpose(image).convert("RGB")
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             raise ValueError(f"{path} cannot be read as a picture: {error}") from error
+        if sizes and picture.size != sizes[0]:
+            raise ValueError(
+                f"{path} has {picture.width} x {picture.height} pixels, the pictures before it "
+                f"{sizes[0][0]} x {sizes[0][1]}; all pictures of a clip must have one size"
+            )
         sizes.append(picture.size)
         scale = max_side / max(picture.size)
         if scale < 1:
