@@ -194,14 +194,14 @@ def test_a_chunk_that_is_no_list_is_refused(tmp_path):
     ("row", "name", "message"),
     [
         ({"key": "b2", "cameras": torch.ones(2, 18)}, "b2", "has ['cameras', 'key'], wanted key"),
-        (torch.ones(3), "000000-1", "the clip 000000-1 has Tensor"),
+        (torch.ones(3), "train-000000-1", "the clip train-000000-1 has Tensor"),
         (clip("b2", cameras=torch.ones(4, 12)), "b2", "clip b2 are not rows of 18 numbers"),
         (clip("b2", cameras=torch.tensor(1.0)), "b2", "clip b2 are not rows of 18 numbers"),
         (clip("b2", cameras=torch.ones(3, 18)), "b2", "clip b2 has 3 cameras but 4 images"),
         (clip("b2", images=[torch.ones(5)] * 4), "b2", "clip b2 are not bytes (uint8)"),
-        (clip("../b2"), "000000-1", "the key of the clip 000000-1 is '../b2'"),
-        (clip("a1"), "000000-1", "the key of the clip 000000-1 is 'a1'"),  # a second one
-        (clip("b2", key=7), "000000-1", "the key of the clip 000000-1 is 7"),
+        (clip("../b2"), "train-000000-1", "the key of the clip train-000000-1 is '../b2'"),
+        (clip("a1"), "train-000000-1", "is 'a1', which cannot name a scene or is that of"),
+        (clip("b2", key=7), "train-000000-1", "the key of the clip train-000000-1 is 7"),
     ],
 )
 @pytest.mark.parametrize("with_index", [False, True])
@@ -216,16 +216,20 @@ def test_a_malformed_clip_fails_alone(tmp_path, row, name, message, with_index):
     assert message in report.failed[name]
 
 
-def test_a_damaged_chunk_without_index_fails_alone(tmp_path):
-    write_chunks(
-        tmp_path / "in/train", {"000000.torch": [clip("a1")], "000001.torch": [clip("b2")]}
-    )
-    (tmp_path / "in/train/index.json").unlink()
-    path = tmp_path / "in/train/000000.torch"
-    path.write_bytes(path.read_bytes()[:1000])
+def test_damaged_chunks_without_index_fail_alone(tmp_path):
+    for split in ("train", "test"):
+        folder = tmp_path / "in" / split
+        write_chunks(folder, {"000000.torch": [clip("a1")]})
+        torch.save([clip(split), 7], folder / "000001.torch")
+        (folder / "index.json").unlink()
+        path = folder / "000000.torch"
+        path.write_bytes(path.read_bytes()[:1000])
     report = prepared(tmp_path / "in", tmp_path / "out")
-    assert (report.scenes, [*report.failed]) == (1, ["000000.torch"])
-    assert "000000.torch is cut off" in report.failed["000000.torch"]
+    assert report.scenes == 2
+    assert sorted(report.failed) == [
+        "test-000000.torch", "test-000001-1", "train-000000.torch", "train-000001-1"
+    ]  # fmt: skip
+    assert "train/000000.torch is cut off" in report.failed["train-000000.torch"]
 
 
 def test_a_chunk_that_the_index_does_not_list_is_told(tmp_path):

@@ -126,7 +126,8 @@ def read_chunk(path: Path) -> dict[str, Any]:
     """What a .torch chunk holds of each clip, not yet checked, by the clip's key.
 
     A clip without a key that can name a folder, or with that of one before it, is found by the
-    chunk's name and its number. Only tensors and plain containers are loaded.
+    names of the chunk's folder and the chunk, and its number. Only tensors and plain containers
+    are loaded.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -153,7 +154,7 @@ def read_chunk(path: Path) -> dict[str, Any]:
     for number, row in enumerate(rows):
         key = row.get("key") if isinstance(row, dict) else None
         usable = isinstance(key, str) and can_name_a_scene(key) and key not in clips
-        clips[key if usable else f"{path.stem}-{number}"] = row
+        clips[key if usable else f"{path.parent.name}-{path.stem}-{number}"] = row
     return clips
 
 
@@ -207,11 +208,11 @@ def _chunk_index(folder: Path) -> list[tuple[str, str]]:
 
 
 def _keys_of(chunk: Path) -> list[str]:
-    """The clips of a chunk; of a damaged one its name, so that a job of that name tells why."""
+    """The clips of a chunk; of a damaged one its place, so that a job of that name tells why."""
     try:
         return list(read_chunk(chunk))
     except ValueError:
-        return [chunk.name]
+        return [f"{chunk.parent.name}-{chunk.name}"]
 
 
 def _checked_clip(row: Any, path: Path, key: str) -> Re10kClip:
