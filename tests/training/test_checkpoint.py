@@ -99,6 +99,21 @@ def test_frozen_parameters_have_no_average():
     assert list(WeightAverage(model, 0.9).values) == ["bias"]
 
 
+def test_without_decay_no_average_is_kept_and_a_resumed_run_may_begin_one(tmp_path):
+    state = make_state()
+    state.average = WeightAverage(state.model, 0.0)
+    own = state.model.weight.detach().clone()
+    state.average.update(state.model, 3)
+    with state.average.applied(state.model):
+        assert torch.equal(state.model.weight, own)
+    save_checkpoint(tmp_path, state, {})
+    assert read_checkpoint(tmp_path)["average"] == {}
+    assert torch.equal(read_weights(tmp_path)["weight"], own)
+    again = make_state()
+    restore(again, read_checkpoint(tmp_path))
+    assert torch.equal(again.average.values["weight"], own)
+
+
 def test_first_weights_come_from_nowhere_else(tmp_path):
     with pytest.raises(FileNotFoundError, match="no run folder"):
         read_weights(tmp_path / "missing.safetensors")

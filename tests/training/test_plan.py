@@ -105,6 +105,7 @@ def test_disk_holds_two_checkpoints_and_the_one_being_written():
     # 11 + 6 weights; two moments and an average of the 11 that learn; 4 bytes each.
     assert checkpoint_bytes(model) == 4 * (17 + 33)
     assert disk_bytes(model) == 3 * 4 * (17 + 33)
+    assert checkpoint_bytes(model, averaged=False) == 4 * (17 + 22)
 
 
 def test_targets_follow_the_rule_of_the_data_set():

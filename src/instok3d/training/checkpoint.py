@@ -31,14 +31,15 @@ KEPT = 2
 
 
 class WeightAverage:
-    """Exponential moving average of a model's trained parameters.
+    """Exponential moving average of a model's trained parameters; with decay 0 none is kept.
 
     Early on the decay is (1 + step) / (10 + step), so that the average forgets the random start.
     """
 
     def __init__(self, model: nn.Module, decay: float) -> None:
         self.decay = decay
-        self.values = {name: p.detach().clone() for name, p in _trained(model).items()}
+        trained = _trained(model) if decay else {}
+        self.values = {name: p.detach().clone() for name, p in trained.items()}
 
     @torch.no_grad()
     def update(self, model: nn.Module, step: int) -> None:
@@ -52,7 +53,7 @@ class WeightAverage:
     def applied(self, model: nn.Module) -> Iterator[None]:
         """The model with the averaged weights; its own come back at the end."""
         trained = _trained(model)
-        own = {name: p.detach().clone() for name, p in trained.items()}
+        own = {name: trained[name].detach().clone() for name in self.values}
         _copy(self.values, trained)
         try:
             yield
@@ -66,8 +67,8 @@ def _trained(model: nn.Module) -> dict[str, nn.Parameter]:
 
 @torch.no_grad()
 def _copy(source: Mapping[str, Tensor], target: Mapping[str, Tensor]) -> None:
-    for name, tensor in target.items():
-        tensor.copy_(source[name])
+    for name, tensor in source.items():
+        target[name].copy_(tensor)
 
 
 @dataclass
@@ -194,7 +195,9 @@ def restore(state: RunState, checkpoint: dict[str, Any], processes: Processes = 
     """
     state.optimizer.load_state_dict(_sharded_optimizer(state.optimizer, checkpoint["optimizer"]))
     for name, value in state.average.values.items():
-        local(value).copy_(local(sharded_like(checkpoint["average"][name], value)))
+        # A run that had no average until now begins it with its weights.
+        saved = checkpoint["average"].get(name, checkpoint["model"][name])
+        local(value).copy_(local(sharded_like(saved, value)))
     state.step = checkpoint["step"]
     state.elapsed_s = checkpoint["elapsed_s"]
     state.skipped = checkpoint["skipped"]

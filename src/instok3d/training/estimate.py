@@ -188,12 +188,13 @@ def _channels(module: nn.Module) -> int:
     return 0
 
 
-def checkpoint_bytes(model: nn.Module) -> int:
-    """Size of one checkpoint: weights; and for trained ones two moments of Adam and an average."""
+def checkpoint_bytes(model: nn.Module, *, averaged: bool = True) -> int:
+    """Size of one checkpoint: weights; for trained ones two moments of Adam, and an average."""
     whole = sum(p.numel() for p in model.state_dict().values())
-    return 4 * (whole + 3 * sum(p.numel() for p in model.parameters() if p.requires_grad))
+    trained = sum(p.numel() for p in model.parameters() if p.requires_grad)
+    return 4 * (whole + (2 + averaged) * trained)
 
 
-def disk_bytes(model: nn.Module) -> int:
+def disk_bytes(model: nn.Module, *, averaged: bool = True) -> int:
     """What the checkpoints of a run take at most: those that stay and the one being written."""
-    return (KEPT + 1) * checkpoint_bytes(model)
+    return (KEPT + 1) * checkpoint_bytes(model, averaged=averaged)

@@ -7,7 +7,7 @@ before each step, so that none waits for another; the first one validates, write
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -240,8 +240,8 @@ def averaged_model(run: Run) -> Iterator[nn.Module | None]:
     device = torch.device(processes.device(config.device))
     with torch.random.fork_rng([device] if device.type == "cuda" else []):
         if config.strategy == "fsdp" and processes.count > 1:
-            average = state.average.values if config.ema_decay else {}
-            weights = whole({**state.model.state_dict(), **average}, keep=processes.is_first)
+            averaged = {**state.model.state_dict(), **state.average.values}
+            weights = whole(averaged, keep=processes.is_first)
             if not processes.is_first:
                 yield None
                 return
@@ -249,8 +249,7 @@ def averaged_model(run: Run) -> Iterator[nn.Module | None]:
             model.load_state_dict(weights)
             yield model.eval()
         elif processes.is_first:
-            applied = state.average.applied(state.model) if config.ema_decay else nullcontext()
-            with applied:
+            with state.average.applied(state.model):
                 yield state.model.eval()
             state.model.train()
         else:

@@ -131,7 +131,7 @@ def make_plan(
         flop_per_update=flop,
         hours=hours(flop * config.steps, num_gpus=num_gpus, gpu=gpu) if on_gpu else None,
         memory_bytes=training_memory_bytes(config, model, height, width),
-        disk_bytes=disk_bytes(model),
+        disk_bytes=disk_bytes(model, averaged=config.ema_decay > 0),
         rates=tuple((step, _rate(config, step)) for step in _steps_to_show(config)),
         missing=tuple(_missing(config, init_from, resume)),
     )
