@@ -101,7 +101,7 @@ def read_model(folder: Path) -> list[ColmapImage]:
             cameras = _cameras_from_text(cameras_file.read_text(encoding="utf-8"))
             images = _images_from_text(images_file.read_text(encoding="utf-8"), cameras)
     except (struct.error, IndexError) as error:
-        raise ValueError(f"the COLMAP files in {folder} are cut off") from error
+        raise ValueError(f"the COLMAP files in {folder} are cut off; export them again") from error
     except (KeyError, ValueError) as error:
         raise ValueError(f"the COLMAP files in {folder} are damaged: {error}") from error
     return sorted(images, key=lambda image: image.name)

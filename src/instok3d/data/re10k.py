@@ -153,8 +153,9 @@ def read_chunk(path: Path) -> dict[str, Any]:
     clips: dict[str, Any] = {}
     for number, row in enumerate(rows):
         key = row.get("key") if isinstance(row, dict) else None
-        usable = isinstance(key, str) and can_name_a_scene(key) and key not in clips
-        clips[key if usable else f"{path.parent.name}-{path.stem}-{number}"] = row
+        if not isinstance(key, str) or not can_name_a_scene(key) or key in clips:
+            key = f"{path.parent.name}-{path.stem}-{number}"
+        clips[key] = row
     return clips
 
 
@@ -330,7 +331,7 @@ def _usable(intrinsics: Float[np.ndarray, "frame 4"]) -> Bool[np.ndarray, " fram
     """Whether fx, fy, cx, cy can be shares of a picture's size; in pixels cx is far above 1."""
     focal, center = intrinsics[:, :2], intrinsics[:, 2:]
     inside = (focal > 0).all(axis=1) & (center > 0).all(axis=1) & (center < 1).all(axis=1)
-    return np.isfinite(intrinsics).all(axis=1) & inside
+    return np.asarray(inside & np.isfinite(intrinsics).all(axis=1))
 
 
 def _field_of_view_rad(cameras: Float[np.ndarray, "frame 18"]) -> float:
