@@ -12,7 +12,7 @@ from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig
-from instok3d.training.distributed import Processes, share
+from instok3d.training.distributed import Processes, joined_processes, share
 from instok3d.training.run_log import read_metrics
 from instok3d.training.tokenizer_stage import TokenizerStageConfig
 from processes import run_processes
@@ -146,6 +146,16 @@ def test_signal_to_one_process_ends_both_with_a_checkpoint(tmp_path):
     # Only the first process writes.
     lines = read_metrics(tmp_path / "metrics.jsonl")
     assert [(line["kind"], line["step"]) for line in lines] == [("validation", 0), ("train", 2)]
+
+
+def test_one_gpu_is_not_given_to_several_processes(monkeypatch):
+    for name, value in {"WORLD_SIZE": "2", "RANK": "0", "LOCAL_RANK": "0"}.items():
+        monkeypatch.setenv(name, value)
+    with (
+        pytest.raises(ValueError, match="cuda:1 is one GPU, and there are 2 processes"),
+        joined_processes("cuda:1"),
+    ):
+        pass
 
 
 def test_a_single_process_is_not_shared():

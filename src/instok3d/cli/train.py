@@ -16,6 +16,7 @@ from instok3d.data.scenes import SceneSource
 from instok3d.model.weights import weights_path
 from instok3d.training.adapt_stage import AdaptStage, AdaptStageConfig
 from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
+from instok3d.training.distributed import check_device
 from instok3d.training.estimate import check_memory
 from instok3d.training.export import export_model
 from instok3d.training.feature_settings import check_cache
@@ -110,11 +111,7 @@ def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSour
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
     assert arguments.output is not None
-    if config.device.startswith("cuda") and not torch.cuda.is_available():
-        raise ValueError(
-            f"--device {config.device}: torch sees no CUDA device here; give --device cpu, or "
-            "install the build of torch with CUDA, or see the plan with --dry-run"
-        )
+    check_device(config.device)
     check_memory(config, *check_scenes(config, source))
     stage, init_from = _stage_of(config), arguments.init_from
     if isinstance(stage, TokenizerStage) and stage.cache:

@@ -69,12 +69,25 @@ class Processes:
 ALONE = Processes()
 
 
+def check_device(device: str) -> None:
+    """Fail early where the device is a GPU and there is none.
+
+    Raises:
+        ValueError: So it is; says what to do.
+    """
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError(
+            f"--device {device}: torch sees no CUDA device here; give --device cpu, or install "
+            "the build of torch with CUDA"
+        )
+
+
 @contextmanager
 def joined_processes(device: str) -> Iterator[Processes]:
     """The processes that torchrun started, or this one alone where it did not.
 
     Raises:
-        ValueError: More processes on this machine than it has GPUs.
+        ValueError: More processes on this machine than it has GPUs, or one GPU for them all.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
@@ -83,6 +96,10 @@ def joined_processes(device: str) -> Iterator[Processes]:
     processes = Processes(int(os.environ["RANK"]), count, int(os.environ["LOCAL_RANK"]))
     on_gpu = torch.device(device).type == "cuda"
     if on_gpu:
+        if device != "cuda":
+            raise ValueError(
+                f"--device {device} is one GPU, and there are {count} processes: give --device cuda"
+            )
         if processes.local_rank >= torch.cuda.device_count():
             raise ValueError(
                 f"process {processes.local_rank} of this machine has no GPU of its own, there are "
