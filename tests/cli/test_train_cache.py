@@ -47,6 +47,13 @@ def test_a_cache_is_filled_gone_on_with_and_refused_where_it_does_not_fit(
     assert main([*fill, "--preset", "no-such"]) == 2
     assert "no preset 'no-such'" in capsys.readouterr().err
 
+    write_safetensors(tmp_path / "other.safetensors", {"x": torch.ones(1)})
+    assert main([*fill, "--init-from", str(tmp_path / "other.safetensors")]) == 2
+    assert "do not fit the backbone of the run" in capsys.readouterr().err
+    if not torch.cuda.is_available():
+        assert main([*fill, "--device", "cuda"]) == 2
+        assert "torch sees no CUDA device" in capsys.readouterr().err
+
     run = ["train", "nano-tokenizer", "-o", str(tmp_path / "run"), *SETTINGS]
     run += ["--stage.cache", str(tmp_path / "cache"), "--batches.samples-per-scene", "1"]
     assert main(run) == 2

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import torch
 from tqdm import tqdm
 from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.data.opening import open_training_scenes
+from instok3d.data.scenes import SceneSource
+from instok3d.model.memory import Work, check_memory
 from instok3d.training.checkpoint import read_weights
 from instok3d.training.config import TrainConfig, overlay, preset
+from instok3d.training.distributed import check_device
+from instok3d.training.estimate import samples_per_batch
 from instok3d.training.feature_writing import FeatureType, fill_cache
 
 BASE = preset("nano-tokenizer")
@@ -44,7 +49,9 @@ def cache(
     neither runs nor loads the backbone. Stop it at any time and give the same command again.
     """
     config = overlay(preset(arguments.preset), BASE, config)
+    check_device(config.device)
     source = open_training_scenes(arguments.data, masks=config.masks)
+    _check_memory(config, source)
     with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
 
         def on_scene(done: int, total: int) -> None:
@@ -67,4 +74,26 @@ def cache(
                 "bytes": filled.bytes,
             }
         )
+    )
+
+
+def _check_memory(config: TrainConfig, source: SceneSource) -> None:
+    """Refuse what is predicted not to fit, before the backbone is made."""
+    if not len(source):
+        raise ValueError("the data set has no scene of the training split")
+    views = max(*config.batches.views, *config.validation_views)
+    height, width = source.frames(0, [0]).images.shape[1:3]
+    work = Work(
+        views,
+        height,
+        width,
+        dtype=torch.bfloat16 if config.amp else torch.float32,
+        batch=samples_per_batch(config, views),
+    )
+    check_memory(
+        config.stage.backbone,
+        None,
+        work,
+        device=config.device,
+        advice="lower --batches.views or --batches.batch-size",
     )

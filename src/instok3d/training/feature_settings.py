@@ -89,8 +89,8 @@ def check_cache(cache: FeatureCache, config: TrainConfig, source: SceneSource) -
         ("held-out", cache.held_out, held_out),
         ("training", cache.training, training),
     ):
-        wanted = [names[number] for number in numbers]
-        lacking = [n for n in wanted if n not in set(known) or not cache.has_scene(n)]
+        wanted, in_cache = [names[number] for number in numbers], set(known)
+        lacking = [n for n in wanted if n not in in_cache or not cache.has_scene(n)]
         if lacking:
             raise KeyError(
                 f"{cache.folder} lacks {len(lacking)} of {len(wanted)} {role} scenes, the first is "

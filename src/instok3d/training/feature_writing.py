@@ -4,7 +4,7 @@ import errno
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from instok3d.data.sample import Sample, collate, photos_only
 from instok3d.data.scenes import SceneSource
 from instok3d.files import write_json, write_safetensors
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.model.backbone.registry import build_backbone
 from instok3d.training.config import TrainConfig
 from instok3d.training.feature_cache import (
     BACKBONE,
@@ -34,8 +35,8 @@ from instok3d.training.feature_settings import (
     scene_sha256,
     settings_sha256,
 )
+from instok3d.training.first_weights import load_backbone
 from instok3d.training.held_out import split_scenes, validation_samples
-from instok3d.training.tokenizer_stage import TokenizerStage
 from instok3d.types import Geometry, Views
 
 FeatureType = Literal["float16", "bfloat16"]
@@ -83,15 +84,18 @@ def fill_cache(
 
     Raises:
         ValueError: The settings have no fixed samples or are not those that the cache was begun
-            with, the backbone's answer to given cameras or depth cannot be rebuilt, or a value does
-            not fit the type.
+            with, the weights are not the backbone's, its answer to given cameras or depth cannot
+            be rebuilt, or a value does not fit the type.
         OSError: The disk has too little space for all scenes.
     """
     stage = cached_stage(config)
-    builder = TokenizerStage(replace(stage, cache=None, lpips_file=None, lpips_weight=0.0))
-    model = builder.build_model().to(config.device)
-    builder.load_initial(model, weights)
-    backbone = model.backbone.eval()
+    torch.manual_seed(config.seed)  # what the weights lack begins the same in every call
+    backbone = build_backbone(stage.backbone)
+    try:
+        load_backbone(backbone, weights)
+    except RuntimeError as error:
+        raise ValueError(f"the weights do not fit the backbone of the run: {error}") from error
+    backbone = backbone.to(config.device).eval()
     names = [source.name_of(number) for number in range(len(source))]
     held_out, training = split_scenes(source, names, config.holdout)
     settings = cache_settings(config, backbone, dtype)
@@ -135,10 +139,7 @@ def _begin(
                 "folder or delete it"
             )
         known = (before["training"], before["held_out"])
-        scenes = [
-            old + [n for n in new if n not in set(old)]
-            for old, new in zip(known, scenes, strict=True)
-        ]
+        scenes = [list(dict.fromkeys(old + new)) for old, new in zip(known, scenes, strict=True)]
     scene_path(folder, "").parent.mkdir(parents=True, exist_ok=True)
     if not (folder / BACKBONE).exists():
         write_safetensors(folder / BACKBONE, backbone.state_dict())
