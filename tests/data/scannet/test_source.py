@@ -114,6 +114,17 @@ def test_a_damaged_scan_fails_alone_and_with_its_reason(tmp_path: Path):
     assert list(verify(tmp_path / "out")) == []
 
 
+def test_a_header_that_promises_too_many_frames_does_not_fill_the_estimate(tmp_path: Path):
+    sens = write_scan(tmp_path / "in", "scene0000_00", 1) / "scene0000_00.sens"
+    data = bytearray(sens.read_bytes())
+    data[27 + 256 + 28 : 27 + 256 + 36] = (2**40).to_bytes(8, "little")  # after name, matrices
+    sens.write_bytes(data)
+    source = ScanNetSource(tmp_path / "in", size=24, min_frames=1)
+    assert source.jobs()[0].estimated_bytes == 0
+    report = prepared(source, tmp_path / "out")
+    assert "is cut off" in report.failed["scene0000_00"]
+
+
 def test_without_archives_scans_are_prepared_without_ids(tmp_path: Path):
     folder = write_scan(tmp_path / "in", "scene0001_00", 1)
     for path in folder.glob("*.zip"):

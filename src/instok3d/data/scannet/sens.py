@@ -25,6 +25,8 @@ JPEG, ZLIB_U16 = 2, 1
 _MATRICES = struct.Struct("<64f")
 _KINDS_AND_SIZES = struct.Struct("<iiIIIIfQ")
 _FRAME = struct.Struct("<16fQQQQ")
+FRAME_HEAD_BYTES = _FRAME.size
+"""Before the picture and depth of each frame."""
 _LONGEST_NAME = 4096
 _LARGEST_SIDE = 16384
 

@@ -20,7 +20,7 @@ from instok3d.data.preparation import (
 from instok3d.data.prepared import PreparedFrame, SceneInfo, Split
 from instok3d.data.scannet.export import scan_frames
 from instok3d.data.scannet.exported import FileTree, lsm_frames, processed_frames
-from instok3d.data.scannet.sens import SensFile
+from instok3d.data.scannet.sens import FRAME_HEAD_BYTES, SensFile
 from instok3d.data.scannet.splits import (
     POSE_FRAMES,
     SCAN_NAME,
@@ -193,7 +193,8 @@ def _long_enough(read: Callable[[], Frames], min_frames: int) -> Frames:
 def _frame_count(sens: Path) -> int:
     try:
         with SensFile(sens, num_frames=0) as scan:
-            return scan.frame_count
+            fits = scan.frame_count * FRAME_HEAD_BYTES <= sens.stat().st_size
+            return scan.frame_count if fits else 0
     except ValueError:
         return 0  # its job will say what is wrong
 
