@@ -2,6 +2,7 @@ import torch
 
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import (
+    best_loops,
     compose_along_tree,
     register_pair,
     rigid_from_twist,
@@ -65,6 +66,16 @@ def test_tree_takes_the_strong_links():
     scores = torch.tensor([[0, 0.1, 0.9], [0, 0, 0.8], [0, 0, 0]])
     assert spanning_tree(scores) == [(0, 2), (2, 1)]
     assert spanning_tree(torch.zeros(1, 1)) == []
+
+
+def test_loops_are_the_best_pairs_outside_the_tree():
+    # The tree takes 0-2 and 2-1; of 0-1 (0.1), 0-3, 1-3 and 2-3 the tree below takes 2-3.
+    scores = torch.tensor([[0, 0.1, 0.9, 0.3], [0, 0, 0.8, 0.2], [0, 0, 0, 0.7], [0, 0, 0, 0]])
+    tree = spanning_tree(scores)
+    assert tree == [(0, 2), (2, 1), (2, 3)]
+    assert best_loops(scores, tree, 2) == [(0, 3), (1, 3)]
+    assert best_loops(scores, tree, 9) == [(0, 3), (1, 3), (0, 1)]
+    assert best_loops(torch.zeros(1, 1), [], 3) == []
 
 
 def test_cameras_compose_along_the_tree_in_both_directions(rng):

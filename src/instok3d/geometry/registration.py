@@ -8,7 +8,8 @@ from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.geometry.similarity import weighted_procrustes
 
 
-def _skew(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def skew(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The matrix that takes a vector to its cross product, points x vector."""
     x, y, z = points.unbind(-1)
     zero = torch.zeros_like(x)
     rows = [
@@ -21,7 +22,7 @@ def _skew(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 
 def rigid_from_twist(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
     """The rigid transform of a small motion: rotation exp(w), translation v, for twist (v, w)."""
-    rotation = torch.linalg.matrix_exp(_skew(twist[..., 3:]))
+    rotation = torch.linalg.matrix_exp(skew(twist[..., 3:]))
     return rigid(rotation, twist[..., :3])
 
 
@@ -110,9 +111,9 @@ def _gauss_newton_step(
         return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])
 
     seen_b = points_a @ rotation.mT + translation[:, None]
-    motion_b = torch.cat([identity.expand(*seen_b.shape[:2], 3, 3), -_skew(seen_b)], dim=-1)
+    motion_b = torch.cat([identity.expand(*seen_b.shape[:2], 3, 3), -skew(seen_b)], dim=-1)
     seen_a = (points_b - translation[:, None]) @ rotation
-    motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -_skew(points_b)], dim=-1)
+    motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -skew(points_b)], dim=-1)
     motion_a = -(rotation.mT[:, None] @ motion_a)
     hessian_b, gradient_b = equations(seen_b, rays_in_b, weights_a, motion_b)
     hessian_a, gradient_a = equations(seen_a, rays_in_a, weights_b, motion_a)
@@ -141,6 +142,18 @@ def spanning_tree(scores: Float[Tensor, "view view"]) -> list[tuple[int, int]]:
         edges.append((parent, child))
         inside.append(child)
     return edges
+
+
+def best_loops(
+    scores: Float[Tensor, "view view"], tree: list[tuple[int, int]], most: int
+) -> list[tuple[int, int]]:
+    """At most so many pairs that are not in the tree, best scores first."""
+    count = scores.shape[0]
+    symmetric = torch.maximum(scores, scores.mT)
+    taken = {frozenset(edge) for edge in tree}
+    pairs = [(a, b) for a in range(count) for b in range(a + 1, count)]
+    open_pairs = [pair for pair in pairs if frozenset(pair) not in taken]
+    return sorted(open_pairs, key=lambda pair: -float(symmetric[pair]))[:most]
 
 
 def compose_along_tree(

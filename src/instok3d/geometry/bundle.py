@@ -1,0 +1,322 @@
+"""Cameras and coarse depth of many views, brought to agree on what they see of each other.
+
+Bundle adjustment for views whose depth is predicted: the depth of neighbouring pixels is wrong
+together, so instead of every point by itself a coarse grid of log depth changes moves, which is
+held back as far as predicted depth is usually right.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid
+from instok3d.geometry.registration import rigid_from_twist, skew
+
+NEAREST = 0.05
+"""Depth at which a point counts as behind a camera."""
+
+TRUST_MIN = 0.5
+"""Matches that are less probable count for nothing."""
+AGREEMENT = 0.15
+"""x/z, y/z from its place at which a match still agrees with the cameras of the start."""
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Points of one view and where another one sees them; a row is an ordered pair of views."""
+
+    scenes: Int[Tensor, " sighting"]
+    here: Int[Tensor, " sighting"]
+    """The view whose points they are."""
+    there: Int[Tensor, " sighting"]
+    """The view that sees them."""
+    points: Float[Tensor, "sighting point 3"]
+    """In the frame of here, by its depth."""
+    rays: Float[Tensor, "sighting point 2"]
+    """Where each is seen: x/z, y/z in the frame of there."""
+    depths: Float[Tensor, "sighting point"]
+    """Depth of there in that place, > 0."""
+    trust: Float[Tensor, "sighting point"]
+    """Probability of the match."""
+    places_here: Float[Tensor, "sighting point 2"]
+    """x, y of each point in the image of here, from 0 to 1."""
+    places_there: Float[Tensor, "sighting point 2"]
+    """The same of its match in the image of there."""
+
+
+@dataclass(frozen=True)
+class BundleNoise:
+    """How wrong the parts are; the defaults were measured on held-out rooms."""
+
+    ray: float = 0.006
+    """Of a match, x/z or y/z."""
+    shared: float = 0.12
+    """Matches of neighbours are wrong together: as many independent ones for each match."""
+    depth: float = 0.14
+    """Standard deviation of log depth, of what a node of the grid takes up."""
+    depth_reach: float = 0.22
+    """Over which that is alike (exponential), in lengths of the image's longer side."""
+    fine_depth: float = 0.05
+    """Of log depth, of what is finer than the grid."""
+    mutual_depth: float = 0.08
+    """Of the difference of two views' log depths of one point."""
+    outlier: float = 2.0
+    """Standard deviations at which an error has lost half its weight."""
+
+
+def coarse_grid(height: int, width: int, longer: int = 8) -> tuple[int, int]:
+    """Rows and columns of the nodes: `longer` along the longer side, cells about square."""
+    side = max(height, width)
+    return max(1, round(longer * height / side)), max(1, round(longer * width / side))
+
+
+def node_weights(
+    places: Float[Tensor, "*batch 2"], grid: tuple[int, int]
+) -> Float[Tensor, "*batch node"]:
+    """Share of each node in the bilinear value at a place; the nodes are the cells' centres.
+
+    What `interpolate(..., mode="bilinear", align_corners=False)` does, at any place.
+    """
+    shares = []
+    for axis, nodes in ((1, grid[0]), (0, grid[1])):
+        position = (places[..., axis, None] * nodes - 0.5).clamp(0, nodes - 1)
+        number = torch.arange(nodes, device=places.device)
+        shares.append((1 - (position - number).abs()).clamp_min(0))
+    return (shares[0][..., :, None] * shares[1][..., None, :]).flatten(-2)
+
+
+@torch.no_grad()
+def adjust_bundle(
+    sightings: Sightings,
+    cam_from_first: Float[Tensor, "batch view 4 4"],
+    depth_is_free: Float[Tensor, "batch view"],
+    grid: tuple[int, int],
+    *,
+    noise: BundleNoise = BundleNoise(),
+    iterations: int = 6,
+) -> tuple[Float[Tensor, "batch view 4 4"], Float[Tensor, "batch view node"]]:
+    """Better cameras, and the change of log depth at each node of each view; not differentiable.
+
+    Gauss-Newton on the robust (Cauchy) errors of the projections, of the depths of one point in
+    two views, and of the prior of the depth. Along the line on which a point moves with its
+    depth, an error of projection counts less, because the depth may be wrong. The first camera
+    stays; the prior holds the length of a unit.
+
+    Args:
+        sightings: In the units of the cameras.
+        cam_from_first: Where to start.
+        depth_is_free: 1 where the depth of a view may change, 0 where it is known.
+        grid: Rows and columns of nodes.
+        noise: What to expect.
+        iterations: Of Gauss-Newton.
+    """
+    batch, count = cam_from_first.shape[:2]
+    nodes = grid[0] * grid[1]
+    cameras, changes = cam_from_first, cam_from_first.new_zeros(batch, count, nodes)
+    if count < 2 or not len(sightings.scenes):
+        return cameras, changes
+    here = node_weights(sightings.places_here, grid)
+    there = node_weights(sightings.places_there, grid)
+    trust = _agreed_trust(sightings, cameras)
+    sightings = replace(sightings, trust=trust)
+    prior = _prior_precision(grid, noise).to(changes)
+    # A depth that is known is one whose prior is a thousand times as narrow.
+    stiffness = torch.where(depth_is_free > 0, 1.0, 1e6)[..., None, None] * prior
+    for _ in range(iterations):
+        hessian, gradient = _normal_equations(sightings, cameras, changes, here, there, noise)
+        views = torch.arange(count, device=changes.device)
+        hessian[:, views, views, 6:, 6:] += stiffness
+        gradient[..., 6:] += (stiffness @ changes[..., None])[..., 0]
+        step = _solve(hessian, gradient)
+        cameras = rigid_from_twist(step[..., :6]) @ cameras
+        changes = (changes + step[..., 6:]).clamp(-0.7, 0.7)
+    return cameras, changes
+
+
+def _agreed_trust(
+    sightings: Sightings, cameras: Float[Tensor, "batch view 4 4"]
+) -> Float[Tensor, "sighting point"]:
+    """Trust in each match, counted from TRUST_MIN on, less where a pair contradicts the start.
+
+    Views of different places of alike things have many sure and wrong matches. Theirs lie far
+    from where the cameras, which came from better pairs, put the points.
+    """
+    trust = (sightings.trust - TRUST_MIN).clamp_min(0) / (1 - TRUST_MIN)
+    there, here = (cameras[sightings.scenes, view] for view in (sightings.there, sightings.here))
+    there_from_here = there @ invert_rigid(here)
+    seen = sightings.points @ there_from_here[:, :3, :3].mT + there_from_here[:, None, :3, 3]
+    error = (seen[..., :2] / seen[..., 2:].clamp_min(NEAREST) - sightings.rays).norm(dim=-1)
+    agrees = (error < AGREEMENT) & (seen[..., 2] > NEAREST)
+    share = (trust * agrees).sum(-1) / trust.sum(-1).clamp_min(1e-9)
+    return trust * ((share - 0.5) / 0.3).clamp(0, 1)[:, None]
+
+
+def _prior_precision(grid: tuple[int, int], noise: BundleNoise) -> Float[Tensor, "node node"]:
+    """Inverse covariance of the nodes: exponential in their distance."""
+    rows, columns = grid
+    places = torch.cartesian_prod(torch.arange(float(rows)), torch.arange(float(columns)))
+    distance = torch.cdist(places, places) / max(grid)
+    covariance = noise.depth**2 * torch.exp(-distance / noise.depth_reach)
+    # What the exponential lets two neighbours differ by is little: some of it is each node's own.
+    covariance = covariance + 0.005 * noise.depth**2 * torch.eye(len(places))
+    return torch.linalg.inv(covariance)
+
+
+def _normal_equations(
+    sightings: Sightings,
+    cameras: Float[Tensor, "batch view 4 4"],
+    changes: Float[Tensor, "batch view node"],
+    hats_here: Float[Tensor, "sighting point node"],
+    hats_there: Float[Tensor, "sighting point node"],
+    noise: BundleNoise,
+) -> tuple[Float[Tensor, "batch view view part part"], Float[Tensor, "batch view part"]]:
+    """Hessian and gradient over (twist, nodes) of all views."""
+    scenes, here, there = sightings.scenes, sightings.here, sightings.there
+    there_from_here = cameras[scenes, there] @ invert_rigid(cameras[scenes, here])
+    deeper_here = (hats_here @ changes[scenes, here, :, None])[..., 0]
+    deeper_there = (hats_there @ changes[scenes, there, :, None])[..., 0]
+    errors = _point_errors(sightings, there_from_here, deeper_here, deeper_there, noise)
+    twist, of_here, of_there = errors.by_twist, errors.by_depth_here, errors.by_depth_there
+
+    def of_nodes(values: Float[Tensor, "sighting point"], hats: Tensor, other: Tensor) -> Tensor:
+        return (hats * values[..., None]).mT @ other
+
+    twists = twist.flatten(1, 2).mT @ twist.flatten(1, 2)
+    cross_here = (twist * of_here[..., None]).sum(2).mT @ hats_here
+    cross_there = (twist * of_there[..., None]).sum(2).mT @ hats_there
+    nodes_here = of_nodes(of_here.square().sum(-1), hats_here, hats_here)
+    nodes_there = of_nodes(of_there.square().sum(-1), hats_there, hats_there)
+    nodes_mixed = of_nodes((of_here * of_there).sum(-1), hats_here, hats_there)
+    twist_gradient = (twist * errors.values[..., None]).sum((1, 2))
+    gradient_here = ((of_here * errors.values).sum(-1)[:, None] @ hats_here)[:, 0]
+    gradient_there = ((of_there * errors.values).sum(-1)[:, None] @ hats_there)[:, 0]
+
+    # A small motion of camera here moves what is seen as the opposite motion of camera there,
+    # brought over to it.
+    carry = -_adjoint(there_from_here)
+    hessian = twists.new_zeros(*cameras.shape[:2], cameras.shape[1], *[6 + changes.shape[-1]] * 2)
+    gradient = twists.new_zeros(*cameras.shape[:2], 6 + changes.shape[-1])
+
+    def add(a: Tensor, b: Tensor, blocks: tuple[Tensor, Tensor, Tensor, Tensor]) -> None:
+        top, bottom = torch.cat(blocks[:2], dim=-1), torch.cat(blocks[2:], dim=-1)
+        hessian.index_put_((scenes, a, b), torch.cat([top, bottom], dim=-2), accumulate=True)
+
+    add(there, there, (twists, cross_there, cross_there.mT, nodes_there))
+    add(
+        here,
+        here,
+        (carry.mT @ twists @ carry, carry.mT @ cross_here, cross_here.mT @ carry, nodes_here),
+    )
+    mixed = (carry.mT @ twists, carry.mT @ cross_there, cross_here.mT, nodes_mixed)
+    add(here, there, mixed)
+    add(there, here, (mixed[0].mT, mixed[2].mT, mixed[1].mT, mixed[3].mT))
+    twist_gradient_here = (carry.mT @ twist_gradient[..., None])[..., 0]
+    for view, parts in (
+        (there, (twist_gradient, gradient_there)),
+        (here, (twist_gradient_here, gradient_here)),
+    ):
+        gradient.index_put_((scenes, view), torch.cat(parts, dim=-1), accumulate=True)
+    return hessian, gradient
+
+
+@dataclass(frozen=True)
+class _PointErrors:
+    """Errors of all points in units of their deviation, robustly weighted, and derivatives.
+
+    Three each: of the projection, x/z and y/z, and of the logarithms of depth.
+    """
+
+    values: Float[Tensor, "sighting point 3"]
+    by_twist: Float[Tensor, "sighting point 3 6"]
+    """Of camera there."""
+    by_depth_here: Float[Tensor, "sighting point 3"]
+    """By the log depth of the point."""
+    by_depth_there: Float[Tensor, "sighting point 3"]
+    """By the log depth of its match."""
+
+
+def _point_errors(
+    sightings: Sightings,
+    there_from_here: Float[Tensor, "sighting 4 4"],
+    deeper_here: Float[Tensor, "sighting point"],
+    deeper_there: Float[Tensor, "sighting point"],
+    noise: BundleNoise,
+) -> _PointErrors:
+    points = sightings.points * deeper_here.exp()[..., None]
+    turned = points @ there_from_here[:, :3, :3].mT
+    seen = turned + there_from_here[:, None, :3, 3]
+    front = seen[..., 2] > NEAREST
+    z = seen[..., 2].clamp_min(NEAREST)
+    u, v, w = seen[..., 0] / z, seen[..., 1] / z, 1 / z
+    zero = torch.zeros_like(u)
+    by_twist = torch.stack(
+        [
+            torch.stack([w, zero, -u * w, -u * v, 1 + u * u, -v], dim=-1),
+            torch.stack([zero, w, -v * w, -1 - v * v, u * v, u], dim=-1),
+            torch.stack([zero, zero, w, v, -u, zero], dim=-1),
+        ],
+        dim=-2,
+    )
+    slope = (turned[..., :2] - torch.stack([u, v], dim=-1) * turned[..., 2:]) * w[..., None]
+    by_depth_here = torch.cat([slope, turned[..., 2:] * w[..., None]], dim=-1)
+    mutual = (z / sightings.depths.clamp_min(NEAREST)).log() - deeper_there
+    values = torch.cat([torch.stack([u, v], dim=-1) - sightings.rays, mutual[..., None]], dim=-1)
+    # Ray errors have the covariance ray^2 I + fine_depth^2 slope slope^T: its inverse root takes
+    # the part along the slope down to `kept` of what it is.
+    length = slope.norm(dim=-1, keepdim=True)
+    along = slope / length.clamp_min(1e-9)
+    kept = noise.ray / (noise.ray**2 + (noise.fine_depth * length).square()).sqrt()
+    whiten = (
+        torch.eye(2).to(slope) - (1 - kept)[..., None] * along[..., :, None] * along[..., None, :]
+    )
+    share = noise.shared * sightings.trust * front
+
+    def scaled(rows: Tensor) -> Tensor:
+        """Rows [sighting point 3 k] in units of their deviation."""
+        rays = whiten[..., 0, None] * rows[..., :1, :] + whiten[..., 1, None] * rows[..., 1:2, :]
+        return torch.cat([rays / noise.ray, rows[..., 2:, :] / noise.mutual_depth], dim=-2)
+
+    values = scaled(values[..., None])[..., 0]
+    of_ray = (share / (1 + values[..., :2].square().sum(-1) / noise.outlier**2)).sqrt()
+    of_mutual = (share / (1 + values[..., 2].square() / noise.outlier**2)).sqrt()
+    weight = torch.stack([of_ray, of_ray, of_mutual], dim=-1)
+    nothing = torch.zeros_like(by_depth_here)
+    nothing[..., 2] = -1 / noise.mutual_depth
+    return _PointErrors(
+        values * weight,
+        scaled(by_twist) * weight[..., None],
+        scaled(by_depth_here[..., None])[..., 0] * weight,
+        nothing * weight,
+    )
+
+
+def _adjoint(transform: Float[Tensor, "sighting 4 4"]) -> Float[Tensor, "sighting 6 6"]:
+    """What a twist before the transform is after it."""
+    rotation, translation = transform[:, :3, :3], transform[:, :3, 3]
+    top = torch.cat([rotation, skew(translation) @ rotation], dim=-1)
+    bottom = torch.cat([torch.zeros_like(rotation), rotation], dim=-1)
+    return torch.cat([top, bottom], dim=-2)
+
+
+def _solve(
+    hessian: Float[Tensor, "batch view view part part"],
+    gradient: Float[Tensor, "batch view part"],
+) -> Float[Tensor, "batch view part"]:
+    """The Gauss-Newton step; the first camera has none."""
+    batch, count, _, size, _ = hessian.shape
+    whole = hessian.permute(0, 1, 3, 2, 4).reshape(batch, count * size, count * size).double()
+    number = torch.arange(count * size, device=hessian.device)
+    is_twist = number % size < 6
+    diagonal = whole.diagonal(dim1=-2, dim2=-1)
+    damping = 1e-4 * diagonal[:, is_twist].mean(-1, keepdim=True).clamp_min(1e-6) * is_twist
+    free = number >= 6
+    whole = (whole + torch.diag_embed(damping))[:, free][:, :, free]
+    right = gradient.flatten(1).double()[:, free, None]
+    step = gradient.new_zeros(batch, count * size)
+    step[:, free] = -torch.cholesky_solve(right, torch.linalg.cholesky(whole))[..., 0].to(step)
+    step = step.view(batch, count, size)
+    # A step of more than 30 degrees or half a unit is a sign of too few matches: shorten it.
+    longest = step[..., :6].norm(dim=-1).amax(dim=1).clamp_min(1e-9)
+    return step * (0.5 / longest).clamp_max(1.0)[:, None, None]
