@@ -3,11 +3,12 @@
 import pytest
 import torch
 
+from instok3d.geometry.bundle import BundleNoise
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
-from instok3d.model.backbone.pair_cameras import chain_cameras, solve_pairs
+from instok3d.model.backbone.pair_cameras import solve_views
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0)
@@ -80,11 +81,35 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
     )
     intrinsics = torch.tensor([[32.0, 0, 16], [0, 32.0, 16], [0, 0, 1]]).expand(1, 2, 3, 3)
     matches = backbone.find_matches(raw)
-    b_from_a = solve_pairs(matches, torch.ones(1, 2, 32, 32), intrinsics)
-    cameras = chain_cameras(matches, b_from_a, batch=1)
+    walls = torch.ones(1, 2, 32, 32)
+    free = torch.ones(1, 2)
+    solved = solve_views(matches, walls, intrinsics, depth_is_free=free, noise=BundleNoise())
     expected = torch.eye(4)
     expected[0, 3] = -4 / 32
-    torch.testing.assert_close(cameras[0, 1], expected, atol=2e-2, rtol=0)
+    torch.testing.assert_close(solved.cam_from_first[0, 1], expected, atol=2e-2, rtol=0)
+    assert solved.deeper.abs().max() < 0.05
+
+
+@pytest.mark.parametrize(("views", "tree", "loops"), [(1, 0, 0), (2, 1, 0), (4, 3, 3), (6, 5, 6)])
+def test_pairs_are_a_tree_and_at_most_as_many_more_as_views(backbone, rng, views, tree, loops):
+    with torch.no_grad():
+        raw = backbone.encode(Views(photos(rng, views)))
+    matches = backbone.find_matches(raw)
+    assert (len(matches.tree), len(matches.loops)) == (tree, loops)
+    for scene in range(2):
+        pairs = {
+            frozenset((int(pair.views_a[scene]), int(pair.views_b[scene])))
+            for pair in matches.pairs
+        }
+        assert len(pairs) == tree + loops
+
+
+def test_known_depth_alone_gives_cameras_in_its_units(backbone, rng):
+    depths = 5 + torch.rand(2, 2, 32, 32, generator=rng)
+    with torch.no_grad():
+        geometry = backbone(Views(photos(rng, 2), depths=depths))
+    torch.testing.assert_close(geometry.depths, depths)
+    assert geometry.cameras.cam_from_world.isfinite().all()
 
 
 def test_peak_lies_between_its_cells_and_ignores_far_ones():

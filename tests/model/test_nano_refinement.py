@@ -1,7 +1,10 @@
 """Parallax says what depth should have been; the refinement starts as nothing and learns that."""
 
+from dataclasses import replace
+
 import pytest
 import torch
+from torch.nn import functional
 
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.model.backbone.matching import Peaks
@@ -64,7 +67,9 @@ def test_evidence_of_three_views_is_a_weighted_mean_and_views_without_pairs_have
     intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), 8, 8).expand(1, 4, 3, 3)
     zero = torch.tensor([0])
     pairs = [PairMatches(zero, zero + other, same_place(4), same_place(4)) for other in (1, 2)]
-    evidence = gather_evidence(pairs, [stepped_aside(0.5), stepped_aside(1.0)], depths, intrinsics)
+    cameras = torch.stack([torch.eye(4)[None], stepped_aside(0.5), stepped_aside(1.0)], dim=1)
+    cameras = torch.cat([cameras, torch.eye(4)[None, None]], dim=1)
+    evidence = gather_evidence(pairs, cameras, depths, intrinsics)
     torch.testing.assert_close(evidence.residuals[0, :3], torch.ones(3, 4))
     torch.testing.assert_close(evidence.weights[0, 0], torch.full((4,), 0.25**2 + 0.5**2))
     torch.testing.assert_close(evidence.weights[0, 2], torch.full((4,), 0.5**2))
@@ -106,15 +111,34 @@ def test_what_the_refinement_looks_at_is_not_differentiated(rng):
     torch.nn.init.normal_(backbone.refinement.correct.weight, std=0.01)
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
-    refined = backbone.refine(raw, backbone.intrinsics(views, raw), backbone.find_matches(raw))
-    assert not torch.equal(refined.log_depths, raw.log_depths)
+    intrinsics, matches = backbone.intrinsics(views, raw), backbone.find_matches(raw)
+    refined = backbone.refine(raw, intrinsics, matches)
+    backbone.refinement = None
+    coarse = backbone.refine(raw, intrinsics, matches)
+    assert not torch.equal(refined.log_depths, coarse.log_depths)
     (slope,) = torch.autograd.grad(refined.log_depths.sum(), raw.log_depths)
     assert torch.equal(slope, torch.ones_like(slope))
 
 
-def test_refining_without_a_refinement_is_an_error(rng):
+def test_without_a_network_depth_still_moves_with_the_cameras(rng):
+    torch.manual_seed(0)
     backbone = NanoBackbone(NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0))
-    views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
+    views = Views(torch.rand(1, 2, 3, 64, 64, generator=rng))
     raw = backbone.encode(views)
-    with pytest.raises(ValueError, match="refinement_layers is 0"):
-        backbone.refine(raw, backbone.intrinsics(views, raw), [])
+    # Every cell is sure of its own place in the other view, which stands aside by nobody's
+    # knowledge; the descriptors of an untrained network are sure of nothing.
+    sure = torch.nn.functional.one_hot(torch.arange(256) % 16, 16).float()
+    sure = torch.cat([sure, torch.nn.functional.one_hot(torch.arange(256) // 16, 16)], dim=-1)
+    raw = replace(raw, descriptors=functional.normalize(sure, dim=-1).expand(1, 2, -1, -1))
+    with torch.no_grad():
+        backbone.log_sharpness.fill_(4.0)
+    matches = backbone.find_matches(raw)
+    assert matches.tree[0].peaks_a.trust.min() > 0.6
+    refined = backbone.refine(raw, backbone.intrinsics(views, raw), matches)
+    moved = refined.log_depths - raw.log_depths
+    # Two views with one and the same picture: their depths come together.
+    before = (raw.log_depths[0, 0] - raw.log_depths[0, 1]).abs().mean()
+    after = (refined.log_depths[0, 0] - refined.log_depths[0, 1]).abs().mean()
+    assert moved.abs().max() > 0
+    assert after < before
+    assert torch.equal(refined.log_confidences, raw.log_confidences)

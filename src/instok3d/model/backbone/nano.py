@@ -13,12 +13,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from instok3d.geometry.bundle import BundleNoise
 from instok3d.geometry.cameras import (
     intrinsics_from_field_of_view,
     pixel_centers,
     pixel_rays,
 )
-from instok3d.geometry.registration import spanning_tree
+from instok3d.geometry.registration import best_loops, spanning_tree
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, Stem, Unshuffle
@@ -26,11 +27,13 @@ from instok3d.model.backbone.nano_refinement import DepthRefinement, gather_evid
 from instok3d.model.backbone.pair_cameras import (
     MATCH_STRIDE,
     PairMatches,
-    chain_cameras,
-    solve_pairs,
+    ViewMatches,
+    solve_views,
 )
 from instok3d.types import Geometry, Views
 
+AT_FIRST, AFTER_REFINEMENT = BundleNoise(), BundleNoise(depth=0.05)
+"""Refined depth is less wrong than what the network says at first."""
 QUARTER_CHANNELS = 64
 """Of the decoder's features at a quarter of the image's size."""
 
@@ -174,13 +177,16 @@ class NanoBackbone(GeometryBackbone):
         given, the units are theirs. The solved cameras are not differentiable.
         """
         raw = self.encode(views)
-        all_known = views.depths is not None and bool((views.depths > 0).all())
+        known = torch.zeros_like(raw.log_depths, dtype=torch.bool)
+        if views.depths is not None:
+            known = views.depths > 0
         keep_cameras = views.cam_from_world is not None and views.depths is not None
         with torch.autocast(views.images.device.type, enabled=False):
             intrinsics = self.intrinsics(views, raw)
-            matches = [] if all_known and keep_cameras else self.find_matches(raw)
+            solved_for = not (known.all() and keep_cameras)
+            matches = self.find_matches(raw) if solved_for else ViewMatches([], [])
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
-        if self.refinement is not None and not all_known:
+        if not known.all():
             refined = self.refine(raw, intrinsics, matches)
             log_depths, log_confidences = refined.log_depths, refined.log_confidences
         with torch.autocast(views.images.device.type, enabled=False):
@@ -190,8 +196,11 @@ class NanoBackbone(GeometryBackbone):
             if views.cam_from_world is not None and keep_cameras:
                 cam_from_world = views.cam_from_world.float()
             else:
-                b_from_a = solve_pairs(matches, depths, intrinsics)
-                cam_from_world = chain_cameras(matches, b_from_a, batch=len(depths)).to(depths)
+                free = (~known).all(-1).all(-1).float()
+                solved = solve_views(
+                    matches, depths, intrinsics, depth_is_free=free, noise=AFTER_REFINEMENT
+                )
+                cam_from_world = solved.cam_from_first
         prediction = Prediction(
             features=raw.features,
             depths=depths,
@@ -205,33 +214,31 @@ class NanoBackbone(GeometryBackbone):
         self,
         raw: RawGeometry,
         intrinsics: Float[Tensor, "batch view 3 3"],
-        matches: list[PairMatches],
+        matches: ViewMatches,
     ) -> RefinedDepth:
-        """Depth after a look at the parallax of the matches.
+        """Depth moved to where the matches put it: coarsely with the cameras, then by the network.
 
         Differentiable in the weights of the refinement and in the depth and confidence that it
         corrects, not in what it looks at.
-
-        Raises:
-            ValueError: The backbone has no refinement.
         """
-        if self.refinement is None:
-            raise ValueError("this backbone has no refinement: its refinement_layers is 0")
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
             depths = log_depths.exp()
-            b_from_a = solve_pairs(matches, depths, intrinsics)
-            evidence = gather_evidence(matches, b_from_a, depths, intrinsics)
-        deeper, surer = self.refinement(
-            evidence,
-            log_depths.detach(),
-            log_confidences.detach(),
-            raw.features.detach(),
-            raw.quarter.detach(),
-        )
-        return RefinedDepth(
-            (log_depths + deeper).clamp(-4, 4), (log_confidences + surer).clamp(-4, 6)
-        )
+            free = torch.ones_like(depths[..., 0, 0])
+            solved = solve_views(matches, depths, intrinsics, depth_is_free=free, noise=AT_FIRST)
+            depths = depths * solved.deeper.exp()
+            evidence = gather_evidence(matches.pairs, solved.cam_from_first, depths, intrinsics)
+        log_depths = log_depths + solved.deeper
+        if self.refinement is not None:
+            deeper, surer = self.refinement(
+                evidence,
+                log_depths.detach(),
+                log_confidences.detach(),
+                raw.features.detach(),
+                raw.quarter.detach(),
+            )
+            log_depths, log_confidences = log_depths + deeper, log_confidences + surer
+        return RefinedDepth(log_depths.clamp(-4, 4), log_confidences.clamp(-4, 6))
 
     def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:
         """The given intrinsics, or predicted ones with the principal point in the middle."""
@@ -247,22 +254,34 @@ class NanoBackbone(GeometryBackbone):
         return result
 
     @torch.no_grad()
-    def find_matches(self, raw: RawGeometry) -> list[PairMatches]:
-        """Matches along each scene's tree of best matches, parents before children."""
-        trees = [spanning_tree(table) for table in self.overlap_scores(raw)]
-        scenes = torch.arange(len(trees), device=raw.descriptors.device)
+    def find_matches(self, raw: RawGeometry) -> ViewMatches:
+        """Matches along each scene's tree of best matches, and of as many more pairs as views.
+
+        With two views there is one pair, with three or four there are all.
+        """
+        tables = self.overlap_scores(raw)
+        trees = [spanning_tree(table) for table in tables]
+        loops = [
+            best_loops(table, tree, len(table)) for table, tree in zip(tables, trees, strict=True)
+        ]
+        return ViewMatches(self._match_pairs(raw, trees), self._match_pairs(raw, loops))
+
+    def _match_pairs(
+        self, raw: RawGeometry, edges_of_scenes: list[list[tuple[int, int]]]
+    ) -> list[PairMatches]:
+        """The n-th pairs of all scenes together; every scene has equally many."""
+        scenes = torch.arange(len(edges_of_scenes), device=raw.descriptors.device)
         columns = raw.log_depths.shape[-1] // MATCH_STRIDE
         found = []
-        # Every tree has one edge fewer than there are views: the n-th ones of all scenes together.
-        for edges in zip(*trees, strict=True):
-            parents, children = torch.tensor(edges, device=scenes.device).unbind(-1)
+        for edges in zip(*edges_of_scenes, strict=True):
+            views_a, views_b = torch.tensor(edges, device=scenes.device).unbind(-1)
             logits, total_a = self.match(
-                raw.descriptors[scenes, parents], raw.descriptors[scenes, children]
+                raw.descriptors[scenes, views_a], raw.descriptors[scenes, views_b]
             )
             total_b = torch.logaddexp(logits.logsumexp(dim=1), self.no_match())
             peaks_a = find_peaks(logits, total_a, columns)
             peaks_b = find_peaks(logits.mT, total_b, columns)
-            found.append(PairMatches(parents, children, peaks_a, peaks_b))
+            found.append(PairMatches(views_a, views_b, peaks_a, peaks_b))
         return found
 
     @torch.no_grad()

@@ -43,16 +43,16 @@ class ParallaxEvidence:
 
 @torch.no_grad()
 def gather_evidence(
-    matches: list[PairMatches],
-    b_from_a: list[Float[Tensor, "batch 4 4"]],
+    pairs: list[PairMatches],
+    cam_from_first: Float[Tensor, "batch view 4 4"],
     depths: Float[Tensor, "batch view height width"],
     intrinsics: Float[Tensor, "batch view 3 3"],
 ) -> ParallaxEvidence:
     """What all pairs of views say of each view's depth; not differentiable.
 
     Args:
-        matches: Of pairs of views.
-        b_from_a: The solved camera of each pair, in units of the depths.
+        pairs: The matches.
+        cam_from_first: The solved cameras, in units of the depths.
         depths: Predicted so far.
         intrinsics: Pixels.
     """
@@ -60,9 +60,10 @@ def gather_evidence(
     scenes = torch.arange(batch, device=depths.device)
     cells = (height // MATCH_STRIDE) * (width // MATCH_STRIDE)
     residuals, weights, trust, misses, matched = depths.new_zeros(5, batch, count, cells)
-    for pair, motion in zip(matches, b_from_a, strict=True):
+    for pair in pairs:
         ways = matched_points(pair, depths, intrinsics)
-        motions = (motion.to(depths), invert_rigid(motion).to(depths))
+        a, b = (cam_from_first[scenes, view].to(depths) for view in (pair.views_a, pair.views_b))
+        motions = (b @ invert_rigid(a), a @ invert_rigid(b))
         for way, view, other_from_here in zip(
             ways, (pair.views_a, pair.views_b), motions, strict=True
         ):

@@ -1,4 +1,4 @@
-"""Relative cameras from the matches of pairs of views, and their chain to the first view."""
+"""Cameras of all views from the matches of pairs of them, and what the matches say of depth."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.geometry.cameras import pixel_rays
+from instok3d.geometry.bundle import BundleNoise, Sightings, adjust_bundle, coarse_grid
+from instok3d.geometry.cameras import pixel_centers, pixel_rays
 from instok3d.geometry.registration import compose_along_tree, register_pair
 from instok3d.model.backbone.matching import Peaks
 
@@ -25,6 +26,31 @@ class PairMatches:
     """Where the cells of a lie in b."""
     peaks_b: Peaks
     """Where the cells of b lie in a."""
+
+
+@dataclass(frozen=True)
+class ViewMatches:
+    """Which pairs of views were matched."""
+
+    tree: list[PairMatches]
+    """One pair fewer than there are views; view b of each is first reached by it."""
+    loops: list[PairMatches]
+    """More pairs that see much of the same."""
+
+    @property
+    def pairs(self) -> list[PairMatches]:
+        """Both."""
+        return self.tree + self.loops
+
+
+@dataclass(frozen=True)
+class SolvedViews:
+    """Cameras of all views and the coarse change of their depths."""
+
+    cam_from_first: Float[Tensor, "batch view 4 4"]
+    """In units of the depths."""
+    deeper: Float[Tensor, "batch view height width"]
+    """To be added to log depth."""
 
 
 @dataclass(frozen=True)
@@ -62,42 +88,84 @@ def matched_points(
 
 
 @torch.no_grad()
-def solve_pairs(
-    matches: list[PairMatches],
+def solve_views(
+    matches: ViewMatches,
     depths: Float[Tensor, "batch view height width"],
     intrinsics: Float[Tensor, "batch view 3 3"],
-) -> list[Float[Tensor, "batch 4 4"]]:
-    """b_from_a of each pair, in units of the depths; not differentiable."""
-    solved = []
-    for pair in matches:
-        a, b = matched_points(pair, depths, intrinsics)
-        solved.append(
-            register_pair(
-                a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust
-            )
-        )
-    return solved
-
-
-def chain_cameras(
-    matches: list[PairMatches],
-    b_from_a: list[Float[Tensor, "batch 4 4"]],
     *,
-    batch: int,
-) -> Float[Tensor, "batch view 4 4"]:
-    """cam_from_first of every view: the relative cameras, composed along the tree of pairs.
+    depth_is_free: Float[Tensor, "batch view"],
+    noise: BundleNoise,
+) -> SolvedViews:
+    """The cameras under which all matches fit best, and depth moved with them.
+
+    Pairs along the tree are solved alone and chained; from there all views and pairs are adjusted
+    together. Not differentiable.
 
     Args:
-        matches: One pair fewer than there are views; view b of each is first reached by it.
-        b_from_a: The camera of each pair.
-        batch: Number of scenes, for views without any pair.
+        matches: Of all views.
+        depths: > 0; the cameras come out in their units.
+        intrinsics: Pixels.
+        depth_is_free: 1 for views whose depth may change, 0 where it is known.
+        noise: What to expect of matches and depths.
     """
+    ways = [matched_points(pair, depths, intrinsics) for pair in matches.pairs]
+    start = _chain(matches.tree, ways, batch=len(depths)).to(depths)
+    height, width = depths.shape[-2:]
+    grid = coarse_grid(height, width)
+    if not ways:
+        return SolvedViews(start, torch.zeros_like(depths))
+    sightings = _sightings(matches.pairs, ways, height, width)
+    cam_from_first, changes = adjust_bundle(sightings, start, depth_is_free, grid, noise=noise)
+    deeper = functional.interpolate(
+        changes.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
+    )
+    return SolvedViews(cam_from_first, deeper)
+
+
+def _chain(
+    tree: list[PairMatches], ways: list[tuple[MatchedPoints, MatchedPoints]], *, batch: int
+) -> Float[Tensor, "batch view 4 4"]:
+    """cam_from_first of every view: each pair of the tree solved alone, composed along it."""
+    b_from_a = [
+        register_pair(a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust)
+        for a, b in ways[: len(tree)]
+    ]
     scenes = []
     for scene in range(batch):
-        edges = [(int(pair.views_a[scene]), int(pair.views_b[scene])) for pair in matches]
+        edges = [(int(pair.views_a[scene]), int(pair.views_b[scene])) for pair in tree]
         steps = {edge: step[scene] for edge, step in zip(edges, b_from_a, strict=True)}
         scenes.append(compose_along_tree(steps, edges))
     return torch.stack(scenes)
+
+
+def _sightings(
+    pairs: list[PairMatches],
+    ways: list[tuple[MatchedPoints, MatchedPoints]],
+    height: int,
+    width: int,
+) -> Sightings:
+    """Both directions of every pair of every scene, one row each, from every second cell.
+
+    Matches of neighbouring cells are wrong together: all of them say little more than a quarter.
+    """
+    rows, columns = height // MATCH_STRIDE, width // MATCH_STRIDE
+    chosen = torch.arange(rows * columns).view(rows, columns)[::2, ::2].flatten()
+    like = ways[0][0].points
+    size = torch.tensor([columns, rows]).to(like)
+    cells = (pixel_centers(rows, columns, like=like) / size).flatten(0, 1)
+    parts = []
+    for pair, (a, b) in zip(pairs, ways, strict=True):
+        batch = len(pair.views_a)
+        scenes = torch.arange(batch, device=like.device)
+        places = cells.expand(batch, -1, -1)
+        for here, there, way, peaks in (
+            (pair.views_a, pair.views_b, a, pair.peaks_a),
+            (pair.views_b, pair.views_a, b, pair.peaks_b),
+        ):
+            of_cells = (way.points, way.rays, way.matched[..., 2], way.trust, places)
+            of_cells = (*of_cells, peaks.mean(places))
+            parts.append((scenes, here, there, *(each[:, chosen] for each in of_cells)))
+    return Sightings(*(torch.cat(each) for each in zip(*parts, strict=True)))
 
 
 def cell_rays(
