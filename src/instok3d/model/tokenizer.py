@@ -19,8 +19,8 @@ class TokenizerConfig:
 
     width: int = 256
     """C, channels of every token; the paper has 1024 (Sec. 4)."""
-    num_anchors: int = 1024
-    """K, as in the paper (Sec. 4). Never more than there are patches."""
+    num_anchors: int = 1536
+    """K; the paper has 1024 (Sec. 4). Never more than there are patches."""
     num_groups: int = 40
     """L; the paper has 100."""
     anchor_layers: int = 4

@@ -205,14 +205,16 @@ PRESETS = {
     "re10k-2view": RE10K_2VIEW,
     "nano-geometry": TrainConfig(
         stage=GeometryStageConfig(),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 2, 2, 3, 4, 8), num_targets=1),
+        batches=BatchConfig(
+            batch_size=4, views=(2, 2, 2, 2, 2, 3, 4, 8), num_targets=1, mirror=True
+        ),
         lr=6e-4,
         warmup_steps=200,
         clip_norm=1.0,
     ),
     "nano-refinement": TrainConfig(
         stage=GeometryStageConfig(trained="refinement"),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 4, 8), num_targets=1),
+        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 4, 8, 8), num_targets=1, mirror=True),
         steps=1_500,
         lr=6e-4,
         warmup_steps=100,
@@ -220,8 +222,8 @@ PRESETS = {
         ema_decay=0.995,
     ),
     "nano-tokenizer": TrainConfig(
-        stage=TokenizerStageConfig(given_probability=0.35),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 8, 8, 8), num_targets=2, mirror=True),
+        stage=TokenizerStageConfig(given_probability=0.4),
+        batches=BatchConfig(batch_size=4, views=(2, 8, 8, 8), num_targets=2, mirror=True),
         lr=1e-4,
         warmup_steps=100,
     ),
