@@ -110,8 +110,8 @@ def joined_processes(device: str) -> Iterator[Processes]:
     yield processes
     # Only after a run that ended well: after an error the others may be waiting in a collective,
     # and torchrun ends them once this process is gone.
-    # A thread of gloo lets go of the tensors of the last collective under Python's lock. This thread
-    # frees the group with the lock held, and waits for that thread: for ever, if it is not done. A
+    # A thread of gloo lets go of the last collective's tensors under Python's lock. This thread
+    # frees the group with the lock held and waits for that one: for ever, if it is not done. A
     # barrier has no tensors, and while this thread waits in it the other one gets the lock.
     distributed.barrier()
     distributed.destroy_process_group()
