@@ -21,7 +21,7 @@ COMMANDS = {
     "evaluate": "measure a model on rooms with known truth",
     "train": "train a model",
     "models": "weights made elsewhere: list, fetch, convert",
-    "data": "make and look at training rooms",
+    "data": "rooms, real data sets and masks to train on",
 }
 """Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands.
 An int that it returns is the exit code."""
