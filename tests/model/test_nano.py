@@ -65,9 +65,11 @@ def test_holes_in_given_depth_are_filled_at_its_scale(backbone, rng):
     assert 5 < float(filled) < 11
 
 
-def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
-    # Two flat walls one unit away; every cell of view 1 shows what view 0 shows one cell (four
-    # pixels) to its right, so the camera moved by 4 pixels / 32 pixels of focal length.
+@pytest.mark.parametrize(("distance", "free"), [(1.0, 1.0), (1.0, 0.0), (5.0, 0.0)])
+def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone, distance, free):
+    # Two flat walls some units away; every cell of view 1 shows what view 0 shows one cell (four
+    # pixels) to its right, so the camera moved by 4 pixels / 32 pixels of focal length, times
+    # the distance.
     cells = 8
     codes = torch.eye(cells * (cells + 1)).view(cells, cells + 1, -1)
     descriptors = torch.stack([codes[:, :-1].flatten(0, 1), codes[:, 1:].flatten(0, 1)])[None]
@@ -81,13 +83,15 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone):
     )
     intrinsics = torch.tensor([[32.0, 0, 16], [0, 32.0, 16], [0, 0, 1]]).expand(1, 2, 3, 3)
     matches = backbone.find_matches(raw)
-    walls = torch.ones(1, 2, 32, 32)
-    free = torch.ones(1, 2)
-    solved = solve_views(matches, walls, intrinsics, depth_is_free=free, noise=BundleNoise())
+    walls = torch.full((1, 2, 32, 32), distance)
+    solved = solve_views(
+        matches, walls, intrinsics, depth_is_free=torch.full((1, 2), free), noise=BundleNoise()
+    )
     expected = torch.eye(4)
-    expected[0, 3] = -4 / 32
-    torch.testing.assert_close(solved.cam_from_first[0, 1], expected, atol=2e-2, rtol=0)
-    assert solved.deeper.abs().max() < 0.05
+    expected[0, 3] = -4 / 32 * distance
+    found = solved.cam_from_first[0, 1]
+    torch.testing.assert_close(found, expected, atol=2e-2 * distance, rtol=0)
+    assert solved.deeper.abs().max() < (0.05 if free else 1e-3)
 
 
 @pytest.mark.parametrize(("views", "tree", "loops"), [(1, 0, 0), (2, 1, 0), (4, 3, 3), (6, 5, 6)])
@@ -104,7 +108,7 @@ def test_pairs_are_a_tree_and_at_most_as_many_more_as_views(backbone, rng, views
         assert len(pairs) == tree + loops
 
 
-def test_known_depth_alone_gives_cameras_in_its_units(backbone, rng):
+def test_known_depth_without_cameras_stays_as_it_is(backbone, rng):
     depths = 5 + torch.rand(2, 2, 32, 32, generator=rng)
     with torch.no_grad():
         geometry = backbone(Views(photos(rng, 2), depths=depths))

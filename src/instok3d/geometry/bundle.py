@@ -16,7 +16,6 @@ from instok3d.geometry.registration import rigid_from_twist, skew
 
 NEAREST = 0.05
 """Depth at which a point counts as behind a camera."""
-
 TRUST_MIN = 0.5
 """Matches that are less probable count for nothing."""
 AGREEMENT = 0.15
@@ -28,6 +27,7 @@ class Sightings:
     """Points of one view and where another one sees them; a row is an ordered pair of views."""
 
     scenes: Int[Tensor, " sighting"]
+    """Of the batch."""
     here: Int[Tensor, " sighting"]
     """The view whose points they are."""
     there: Int[Tensor, " sighting"]

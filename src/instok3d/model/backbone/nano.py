@@ -226,10 +226,12 @@ class NanoBackbone(GeometryBackbone):
             depths = log_depths.exp()
             free = torch.ones_like(depths[..., 0, 0])
             solved = solve_views(matches, depths, intrinsics, depth_is_free=free, noise=AT_FIRST)
-            depths = depths * solved.deeper.exp()
-            evidence = gather_evidence(matches.pairs, solved.cam_from_first, depths, intrinsics)
         log_depths = log_depths + solved.deeper
         if self.refinement is not None:
+            with torch.autocast(log_depths.device.type, enabled=False):
+                evidence = gather_evidence(
+                    matches.pairs, solved.cam_from_first, log_depths.detach().exp(), intrinsics
+                )
             deeper, surer = self.refinement(
                 evidence,
                 log_depths.detach(),
