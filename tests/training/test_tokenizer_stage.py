@@ -10,6 +10,7 @@ from instok3d.data.sample import Sample, photos_only
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
+from instok3d.objectives.assignment import assignment_loss
 from instok3d.training.alignment import cameras_of_targets
 from instok3d.training.tokenizer_stage import (
     TokenizerStage,
@@ -67,6 +68,28 @@ def test_total_is_the_weighted_sum_of_its_parts(model, sample):
     loss = stage.loss(model, sample, 5)
     expected = loss.terms["mse_given"] + 0.25 * (loss.terms["bce"] + loss.terms["dice"])
     torch.testing.assert_close(loss.total.detach(), expected)
+
+
+def test_anchors_answer_for_their_own_patches_where_it_is_asked(model, sample):
+    stage = TokenizerStage(replace(TINY, given_probability=1.0, assignment_weight=0.5))
+    loss = stage.loss(model, sample, 5)
+    parts = loss.terms["mse_given"] + 0.1 * loss.terms["seg_given"] + 0.5 * loss.terms["assigned"]
+    torch.testing.assert_close(loss.total.detach(), parts)
+    assert "assigned" not in TokenizerStage(TINY).loss(model, sample, 5).terms
+    # Told by hand: the patches of 8 x 8 pixels that the anchors were taken from.
+    groups = model(sample.context)
+    expected = 0.0
+    starts = range(0, 32, 8)
+    for scene in range(2):
+        patches = [
+            sample.context_instances[scene, view, top : top + 8, left : left + 8].flatten()
+            for view in range(2)
+            for top in starts
+            for left in starts
+        ]
+        ids = torch.stack([patches[k] for k in groups.anchors.patches[scene]])
+        expected += assignment_loss(groups.assignment[scene][None], ids[None]).total.item() / 2
+    assert loss.terms["assigned"].item() == pytest.approx(expected, rel=1e-4)
 
 
 def test_only_the_tokenizer_gets_gradients_while_the_backbone_is_frozen(model, sample):

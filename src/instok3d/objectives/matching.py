@@ -17,6 +17,20 @@ class Matching:
     """Columns of the cost, in the order of the groups."""
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """Which group of a scene answers for which of its instances."""
+
+    groups: Int[Tensor, " pair"]
+    ids: Int[Tensor, " pair"]
+    """Instance ids, no places."""
+
+    def of(self, ids: Int[Tensor, " instance"]) -> "Pairs":
+        """The pairs of these instances alone."""
+        kept = torch.isin(self.ids, ids)
+        return Pairs(self.groups[kept], self.ids[kept])
+
+
 def match_groups(cost: Float[Tensor, "group instance"]) -> Matching:
     """The pairs of least total cost: as many as there are instances, or groups if those are fewer.
 

@@ -1,5 +1,6 @@
 """The grouping loss: BCE and Dice between rendered group maps and instance masks (Eq. 5)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -7,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from instok3d.data.instances import instance_ids
-from instok3d.objectives.matching import match_groups
+from instok3d.objectives.matching import Pairs, match_groups
 
 EPSILON = 1e-6
 
@@ -35,6 +36,7 @@ def segmentation_loss(
     dice_weight: float = 1.0,
     min_pixels: int = 25,
     ignore_unlabelled: bool = False,
+    pairs: Sequence[Pairs] | None = None,
 ) -> SegmentationLoss:
     """How far the groups' maps are from the instances' masks, after the best match.
 
@@ -52,6 +54,8 @@ def segmentation_loss(
         min_pixels: Instances with fewer pixels over all views are not matched.
         ignore_unlabelled: Leave pixels of no instance out, instead of asking every matched group
             to be absent there (the default: the void is for them).
+        pairs: For each scene, the match where it has been made already (on the anchors, see
+            `assignment_loss`); instances without a group in it get no loss.
     """
     labelled = instances > 0 if ignore_unlabelled else instances >= 0
     scenes, groups, ids, shares = [], [], [], []
@@ -59,14 +63,18 @@ def segmentation_loss(
         found = instance_ids(instances[scene], min_pixels=min_pixels)
         if len(found) == 0:
             continue
-        cost = _matching_cost(
-            group_maps[scene], instances[scene], labelled[scene], found, bce_weight, dice_weight
-        )
-        match = match_groups(cost)
-        shares += [1 / (len(match.groups) * len(instances))] * len(match.groups)
-        scenes.append(torch.full_like(match.groups, scene))
-        groups.append(match.groups)
-        ids.append(found[match.instances])
+        if pairs is None:
+            cost = _matching_cost(
+                group_maps[scene], instances[scene], labelled[scene], found, bce_weight, dice_weight
+            )
+            match = match_groups(cost)
+            matched = Pairs(match.groups, found[match.instances])
+        else:
+            matched = pairs[scene].of(found)
+        shares += [1 / (len(matched.ids) * len(instances)) for _ in matched.ids]
+        scenes.append(torch.full_like(matched.groups, scene))
+        groups.append(matched.groups)
+        ids.append(matched.ids)
     if not scenes:
         zero = group_maps.float().sum() * 0.0  # keeps the graph: backward gives zeros
         return SegmentationLoss(zero, zero, zero, 0)

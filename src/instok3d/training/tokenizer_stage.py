@@ -19,10 +19,14 @@ from instok3d.evaluation.instance_ap import (
     match_image,
     predicted_masks,
 )
+from instok3d.model.anchors import gather_rows
 from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.registry import build_backbone
+from instok3d.model.context import to_patches
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.objectives.assignment import AssignmentLoss, assignment_loss
+from instok3d.objectives.matching import Pairs
 from instok3d.objectives.rendering import rendering_loss
 from instok3d.objectives.segmentation import SegmentationLoss, segmentation_loss
 from instok3d.render import render
@@ -62,6 +66,10 @@ class TokenizerStageConfig:
     """lambda_bce; the paper does not give it (Eq. 5)."""
     dice_weight: float = 1.0
     """lambda_dice; the paper does not give it (Eq. 5)."""
+    assignment_weight: float = 0.0
+    """Of the loss that tells each anchor the instances in its own patch
+    (`objectives.assignment`), with the same warm-up; the match is then made there and holds for
+    rendered maps as well. Not in the paper."""
     ignore_unlabelled: bool = False
     """Leave pixels of no instance out of the grouping loss. The paper gives them to the void."""
     l1_weight: float = 0.0
@@ -158,9 +166,14 @@ class TokenizerStage:
             total = total + config.gradient_weight * gradient_error(rendering.colors, images)
         # The matching refuses NaN; the loop wants to see it as a loss that is not finite.
         if rendering.features.sum().isfinite():
-            grouping = self._grouping(rendering, sample)
-            weight = warmed_up(step, weight=config.seg_weight, warmup_steps=config.seg_warmup_steps)
-            total = total + weight * grouping.total
+            pairs, warm = None, warmed_up(step, weight=1.0, warmup_steps=config.seg_warmup_steps)
+            if config.assignment_weight:
+                assigned = self._assigned(model, groups, sample)
+                pairs = assigned.pairs
+                total = total + warm * config.assignment_weight * assigned.total
+                terms |= {"assigned": assigned.total, "assigned_dice": assigned.dice}
+            grouping = self._grouping(rendering, sample, pairs)
+            total = total + warm * config.seg_weight * grouping.total
             terms |= {f"seg_{mode}": grouping.total, "bce": grouping.bce, "dice": grouping.dice}
         else:
             total = total + rendering.features.sum()
@@ -176,7 +189,18 @@ class TokenizerStage:
     def _always_told(self) -> bool:
         return self.config.intrinsics_probability >= 1
 
-    def _grouping(self, rendering: Rendering, sample: Sample) -> SegmentationLoss:
+    def _assigned(self, model: Tokenizer, groups: TokenGroups, sample: Sample) -> AssignmentLoss:
+        ids = to_patches(sample.context_instances[..., None], model.backbone.patch_size).flatten(2)
+        with torch.autocast(ids.device.type, enabled=False):
+            return assignment_loss(
+                groups.assignment.float(),
+                gather_rows(ids, groups.anchors.patches),
+                ignore_unlabelled=self.config.ignore_unlabelled,
+            )
+
+    def _grouping(
+        self, rendering: Rendering, sample: Sample, pairs: Sequence[Pairs] | None = None
+    ) -> SegmentationLoss:
         assert rendering.features is not None
         return segmentation_loss(
             rendering.features,
@@ -184,6 +208,7 @@ class TokenizerStage:
             bce_weight=self.config.bce_weight,
             dice_weight=self.config.dice_weight,
             ignore_unlabelled=self.config.ignore_unlabelled,
+            pairs=pairs,
         )
 
     def validate(self, model: nn.Module, samples: Sequence[Sample]) -> dict[str, float]:
