@@ -10,8 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid, transform_points
-from instok3d.geometry.rotations import matrix_to_quat, quat_multiply
-from instok3d.geometry.spherical_harmonics import rotate_sh
+from instok3d.geometry.moving import move_gaussians
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import BestView, SceneObject, describe_shape, display_color
 from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView
@@ -120,18 +119,6 @@ def with_objects(scene: Scene) -> Scene:
             found = _describe(Gaussians(**own), group, int(num_anchors[group]), sight)
             objects.append(replace(found, gaussian_range=(start, count)))
     return replace(scene, gaussians=gaussians, objects=tuple(objects))
-
-
-def move_gaussians(gaussians: Gaussians, to_from: Float[Tensor, "4 4"]) -> Gaussians:
-    """The Gaussians in the frame that a rigid transform leads to, their colours turned along."""
-    rotation = to_from[:3, :3]
-    turn = matrix_to_quat(rotation).expand_as(gaussians.quats)
-    return replace(
-        gaussians,
-        means=transform_points(to_from, gaussians.means),
-        quats=quat_multiply(turn, gaussians.quats),
-        sh=rotate_sh(gaussians.sh, rotation),
-    )
 
 
 def _describe(own: Gaussians, group: int, num_anchors: int, sight: GroupSight) -> SceneObject:
