@@ -14,6 +14,7 @@ SMALL = TokenizerConfig(
     width=32,
     num_anchors=20,
     num_groups=6,
+    window_views=0,
     anchor_layers=2,
     group_layers=1,
     head_size=16,

@@ -5,7 +5,7 @@ against measured peaks (docs/models.md): never below, at most a quarter above.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from instok3d.model.backbone.vggt.config import VGGTConfig
 from instok3d.model.backbone.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.model.on_paper import on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.model.windows import count_windows
 from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000
@@ -326,7 +327,23 @@ _BACKBONES: dict[type, Callable[[Any, Work], Activations]] = {
 
 
 def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) -> Activations:
-    """What the tokenizer holds while it runs: by the patch, by the anchor, by the Gaussian."""
+    """What the tokenizer holds while it runs, in one go or window by window."""
+    size = config.window_views
+    if not size or work.views <= size:
+        return _tokens_at_once(backbone, config, work)
+    window = _tokens_at_once(backbone, config, replace(work, views=size, batch=1))
+    windows = work.batch * count_windows(work.views, size)
+    patches = work.pixels // work.batch // _on_paper(backbone).patch_size ** 2
+    joining = 4 * FLOAT * windows * config.num_groups * patches
+    return Activations(
+        peak=window.peak + windows * window.result + joining,
+        stored=windows * window.stored + joining,
+        result=windows * window.result,
+    )
+
+
+def _tokens_at_once(backbone: Any, config: TokenizerConfig, work: Work) -> Activations:
+    """By the patch, by the anchor, by the Gaussian."""
     network = _on_paper(backbone)
     channels, patches = network.feature_channels, work.pixels // network.patch_size**2
     anchors = min(work.batch * config.num_anchors, patches)

@@ -10,6 +10,7 @@ from instok3d.model.context import ContextFusion
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.model.grouping import Assignment, GroupDecoder
 from instok3d.model.transformer import Decoder
+from instok3d.model.windows import collate_scenes, cut_window, join_windows, view_windows
 from instok3d.types import Geometry, TokenGroups, Views
 
 
@@ -22,7 +23,10 @@ class TokenizerConfig:
     num_anchors: int = 1536
     """K; the paper has 1024 (Sec. 4). Never more than there are patches."""
     num_groups: int = 40
-    """L; the paper has 100."""
+    """L; the paper has 100. Of each window, where there are more views than window_views."""
+    window_views: int = 4
+    """More views than this are taken in overlapping windows of so many, whose groups are joined
+    (`model.windows`); 0 takes any number at once, as the paper does."""
     anchor_layers: int = 4
     """Layers of D_anchor; the paper has 6."""
     group_layers: int = 3
@@ -52,12 +56,15 @@ class TokenizerConfig:
         for name in ("num_anchors", "num_groups", "anchor_layers", "group_layers"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.window_views < 0 or self.window_views == 1:
+            raise ValueError(f"window_views must be 0 or at least 2, got {self.window_views}")
 
 
 PAPER = TokenizerConfig(
     width=1024,
     num_anchors=1024,
     num_groups=100,
+    window_views=0,
     anchor_layers=6,
     group_layers=4,
     normalize_heads=False,
@@ -101,11 +108,10 @@ class Tokenizer(nn.Module):
         self.gaussian_head = GaussianHead(width, config.gaussian_head)
 
     def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
-        """One line for each arrow of Fig. 2(a).
+        """A scene of each set of photos, in scene units and in the first view's camera frame.
 
-        Positions and Gaussians come out in scene units (the geometry's) and in the first view's
-        camera frame. May run under autocast; geometry, softmax and the activations of the
-        Gaussians stay in float32. Not differentiable: which patches become anchors.
+        More views than window_views are tokenized window by window and joined; all else is
+        `tokenize`.
 
         Args:
             views: 1 to 16 photos of each scene.
@@ -117,6 +123,27 @@ class Tokenizer(nn.Module):
         """
         # F, P: multi-view features and pointmaps
         seen: Geometry = self.backbone(views) if geometry is None else geometry
+        size = self.config.window_views
+        if size == 0 or views.images.shape[1] <= size:
+            return self.tokenize(views, seen)
+        scenes = []
+        for scene in range(len(views.images)):
+            windows = view_windows(seen, scene, size)
+            parts = [self.tokenize(*cut_window(views, seen, scene, window)) for window in windows]
+            scenes.append(join_windows(parts, windows, seen, scene))
+        return collate_scenes(scenes, seen)
+
+    def tokenize(self, views: Views, seen: Geometry) -> TokenGroups:
+        """All views at once, one line for each arrow of Fig. 2(a).
+
+        Positions and Gaussians come out in scene units (the geometry's) and in the first view's
+        camera frame. May run under autocast; geometry, softmax and the activations of the
+        Gaussians stay in float32. Not differentiable: which patches become anchors.
+
+        Args:
+            views: Of these, the images alone are looked at.
+            seen: What the backbone says of them.
+        """
         context = self.fuse(views, seen)  # X: one token per patch of every view
         seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
         anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
