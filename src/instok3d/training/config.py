@@ -222,10 +222,11 @@ PRESETS = {
         ema_decay=0.995,
     ),
     "nano-tokenizer": TrainConfig(
-        stage=TokenizerStageConfig(given_probability=0.4),
-        batches=BatchConfig(batch_size=4, views=(2, 8, 8, 8), num_targets=2, mirror=True),
+        stage=TokenizerStageConfig(given_probability=0.4, assignment_weight=0.1),
+        batches=BatchConfig(batch_size=4, views=(2, 4, 4, 4, 4), num_targets=1, mirror=True),
         lr=1e-4,
         warmup_steps=100,
+        clip_norm=0.3,
     ),
     "nano-adapt": TrainConfig(
         stage=AdaptStageConfig(
