@@ -20,6 +20,8 @@ from instok3d.geometry.rotations import angle_between_rad
 
 GRID = (4, 4)
 POINTS = 400
+PRECISION = torch.eye(2) / 0.006**2
+"""Of a ray: wrong by 0.006 in x/z and y/z."""
 
 
 def cameras_on_a_path(count: int) -> torch.Tensor:
@@ -57,6 +59,7 @@ def sight(
                 torch.tensor(there),
                 points * wrong_here[:, None],
                 rays,
+                PRECISION.expand(POINTS, 2, 2),
                 seen[:, 2] * wrong_there,
                 inside.float(),
                 places,
@@ -166,6 +169,42 @@ def test_without_another_view_everything_stays(rng):
         assert changes.count_nonzero() == 0
 
 
+def test_a_ray_counts_as_far_as_it_is_precise(rng):
+    # Rays that are wrong by 0.05 up or down, but known across alone: as if nothing were wrong.
+    true = cameras_on_a_path(2)
+    exact = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    sideways = torch.tensor([[1 / 0.006**2, 0.0], [0.0, 1e-2]]).expand_as(exact.precision)
+    wrong = torch.stack([torch.zeros(2, POINTS), 0.05 * torch.ones(2, POINTS)], dim=-1)
+    free, start = torch.ones(1, 2), true[None]
+    blind = replace(exact, rays=exact.rays + wrong, precision=sideways)
+    cameras, _ = adjust_bundle(blind, start, free, GRID)
+    torch.testing.assert_close(cameras, start, atol=2e-3, rtol=0)
+    seeing = replace(exact, rays=exact.rays + wrong)
+    cameras, _ = adjust_bundle(seeing, start, free, GRID)
+    assert (cameras - start).abs().max() > 0.02
+
+
+def test_fine_depth_error_loosens_a_ray_along_its_parallax_alone(rng):
+    # By hand, for one point: covariance = 1 / precision + fine^2 slope slope^T.
+    sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).expand_as(sightings.precision)
+    sightings = replace(sightings, precision=mixed)
+    noise = BundleNoise(fine_depth=0.05, shared=1.0, outlier=1e6)
+    there_from_here = cameras_on_a_path(2)[[1, 0]] @ invert_rigid(cameras_on_a_path(2)[[0, 1]])
+    nothing = torch.zeros(2, POINTS)
+    errors = bundle._point_errors(sightings, there_from_here, nothing, nothing, noise)
+    plain = bundle._point_errors(
+        replace(sightings, precision=torch.eye(2).expand_as(mixed)),
+        there_from_here, nothing, nothing, replace(noise, fine_depth=0.0),
+    )  # fmt: skip
+    slope = plain.by_depth_here[..., :2]
+    covariance = mixed.inverse() + 0.05**2 * slope[..., :, None] * slope[..., None, :]
+    rows, plain_rows = errors.by_twist[..., :2, :], plain.by_twist[..., :2, :]
+    expected = plain_rows.mT @ covariance.inverse() @ plain_rows
+    seen = sightings.trust > 0
+    torch.testing.assert_close((rows.mT @ rows)[seen], expected[seen], rtol=1e-3, atol=1.0)
+
+
 def test_gradient_is_that_of_the_robust_errors(rng):
     # Without fine_depth the weights depend on the errors alone, and the gradient of Gauss-Newton
     # is that of share * outlier^2 / 2 * log(1 + (error / outlier)^2).
@@ -173,7 +212,8 @@ def test_gradient_is_that_of_the_robust_errors(rng):
     true = cameras_on_a_path(2)
     found = sight(rng, true, [(0, 1)], 0.1 * torch.randn(2, 16, generator=rng))
     doubled = {n: v.double() if v.is_floating_point() else v for n, v in vars(found).items()}
-    sightings = Sightings(**doubled)
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).double().expand(2, POINTS, 2, 2)
+    sightings = Sightings(**{**doubled, "precision": mixed})
     start = (rigid_from_twist(0.05 * torch.randn(2, 6, generator=rng)) @ true).double()
     nodes = 0.1 * torch.randn(1, 2, 16, generator=rng).double()
     here, there = (node_weights(p, GRID) for p in (sightings.places_here, sightings.places_there))
@@ -186,7 +226,8 @@ def test_gradient_is_that_of_the_robust_errors(rng):
     for row, (a, b) in enumerate([(0, 1), (1, 0)]):
         points = sightings.points[row] * (here[row] @ moved_nodes[0, a]).exp()[:, None]
         seen = transform_points(cameras[b] @ invert_rigid(cameras[a]), points)
-        ray = ((seen[:, :2] / seen[:, 2:] - sightings.rays[row]) / noise.ray).square().sum(-1)
+        off = seen[:, :2] / seen[:, 2:] - sightings.rays[row]
+        ray = ((off @ mixed[0, 0]) * off).sum(-1)
         log_depth = sightings.depths[row].log() + there[row] @ moved_nodes[0, b]
         depth = ((seen[:, 2].log() - log_depth) / noise.mutual_depth).square()
         share = noise.shared * sightings.trust[row]

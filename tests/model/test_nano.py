@@ -8,7 +8,7 @@ from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
-from instok3d.model.backbone.pair_cameras import solve_views
+from instok3d.model.backbone.pair_cameras import PhotoViews, solve_views
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0)
@@ -84,8 +84,10 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone, dis
     intrinsics = torch.tensor([[32.0, 0, 16], [0, 32.0, 16], [0, 0, 1]]).expand(1, 2, 3, 3)
     matches = backbone.find_matches(raw)
     walls = torch.full((1, 2, 32, 32), distance)
+    # The photos show nothing: the matches stay where the descriptors put them.
+    views = PhotoViews(torch.zeros(1, 2, 3, 32, 32), walls, intrinsics)
     solved = solve_views(
-        matches, walls, intrinsics, depth_is_free=torch.full((1, 2), free), noise=BundleNoise()
+        matches, views, depth_is_free=torch.full((1, 2), free), noise=BundleNoise()
     )
     expected = torch.eye(4)
     expected[0, 3] = -4 / 32 * distance
@@ -121,8 +123,9 @@ def test_peak_lies_between_its_cells_and_ignores_far_ones():
     probability = torch.full((1, 1, 9), 1e-9)
     probability[..., 2], probability[..., 3], probability[..., 8] = 0.3001, 0.3, 0.25
     peak = find_peaks(probability.log(), torch.zeros(1, 1), columns=9)
-    place = torch.arange(9.0)[None, :, None]
-    torch.testing.assert_close(peak.mean(place), torch.tensor([[[2.5]]]), atol=1e-3, rtol=0)
+    # Their centres lie at 4 * 2 + 2 and 4 * 3 + 2 pixels.
+    torch.testing.assert_close(peak.pixels, torch.tensor([[[12.0, 2.0]]]), atol=4e-3, rtol=0)
+    torch.testing.assert_close(peak.centers, torch.tensor([[2.0, 2.0]]))
     torch.testing.assert_close(peak.trust, torch.tensor([[0.6001]]))
 
 

@@ -7,19 +7,25 @@ import torch
 from torch.nn import functional
 
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
-from instok3d.model.backbone.matching import Peaks
+from instok3d.model.backbone.matching import Matches, cell_centers
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 from instok3d.model.backbone.nano_refinement import gather_evidence, measure_parallax
-from instok3d.model.backbone.pair_cameras import MatchedPoints, PairMatches
+from instok3d.model.backbone.pair_cameras import MatchedPoints, PairMatches, PhotoViews
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=1)
 
 
-def one_match(depth: float, ray: tuple[float, float], trust: float = 1.0) -> MatchedPoints:
+def one_match(
+    depth: float,
+    ray: tuple[float, float],
+    trust: float = 1.0,
+    precision: tuple[float, float] = (1.0, 1.0),
+) -> MatchedPoints:
     """A cell straight ahead at some depth, seen by the other camera along a ray."""
     point = torch.tensor([[[0.0, 0.0, depth]]])
-    return MatchedPoints(point, torch.tensor([[ray]]), point, torch.tensor([[trust]]))
+    known = torch.tensor(precision).diag()[None, None]
+    return MatchedPoints(point, torch.tensor([[ray]]), known, point, torch.tensor([[trust]]))
 
 
 def stepped_aside(distance: float) -> torch.Tensor:
@@ -35,6 +41,15 @@ def test_parallax_of_one_match_by_hand():
     torch.testing.assert_close(residual, torch.tensor([[0.2]]))
     torch.testing.assert_close(weight, torch.tensor([[0.8 * 0.25**2]]))
     torch.testing.assert_close(miss, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
+
+
+def test_a_match_that_is_known_across_the_parallax_alone_says_nothing_of_depth():
+    sure = one_match(2.0, (-0.2, 0.0), precision=(100.0, 0.0))
+    _, weight, _ = measure_parallax(sure, stepped_aside(0.5))
+    torch.testing.assert_close(weight, torch.tensor([[100 * 0.25**2]]))
+    blind = one_match(2.0, (-0.2, 0.0), precision=(0.0, 100.0))
+    _, weight, _ = measure_parallax(blind, stepped_aside(0.5))
+    assert weight.item() == 0
 
 
 def test_what_lies_across_the_parallax_is_a_miss_and_no_depth():
@@ -54,10 +69,13 @@ def test_cameras_in_one_place_and_points_behind_say_nothing():
     assert miss.isfinite().all()
 
 
-def same_place(cells: int) -> Peaks:
-    """Every cell matched to the cell of its own number."""
-    number = torch.arange(cells)[None, :, None]
-    return Peaks(number, torch.ones(1, cells, 1), torch.ones(1, cells))
+def same_place(rows: int, columns: int) -> Matches:
+    """Every cell matched to its own place, known to a pixel."""
+    centers = cell_centers(rows, columns, like=torch.zeros(1))
+    count = len(centers)
+    return Matches(
+        centers, centers[None], torch.eye(2).expand(1, count, 2, 2), torch.ones(1, count)
+    )
 
 
 def test_evidence_of_three_views_is_a_weighted_mean_and_views_without_pairs_have_none():
@@ -66,13 +84,18 @@ def test_evidence_of_three_views_is_a_weighted_mean_and_views_without_pairs_have
     depths = torch.full((1, 4, 8, 8), 2.0)
     intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), 8, 8).expand(1, 4, 3, 3)
     zero = torch.tensor([0])
-    pairs = [PairMatches(zero, zero + other, same_place(4), same_place(4)) for other in (1, 2)]
+    same = same_place(2, 2)
+    pairs = [PairMatches(zero, zero + other, same, same) for other in (1, 2)]
     cameras = torch.stack([torch.eye(4)[None], stepped_aside(0.5), stepped_aside(1.0)], dim=1)
     cameras = torch.cat([cameras, torch.eye(4)[None, None]], dim=1)
-    evidence = gather_evidence(pairs, cameras, depths, intrinsics)
+    views = PhotoViews(torch.zeros(1, 4, 3, 8, 8), depths, intrinsics)
+    evidence = gather_evidence(pairs, views, cameras)
+    focal = float(intrinsics[0, 0, 0, 0])
     torch.testing.assert_close(evidence.residuals[0, :3], torch.ones(3, 4))
-    torch.testing.assert_close(evidence.weights[0, 0], torch.full((4,), 0.25**2 + 0.5**2))
-    torch.testing.assert_close(evidence.weights[0, 2], torch.full((4,), 0.5**2))
+    torch.testing.assert_close(
+        evidence.weights[0, 0], torch.full((4,), focal**2 * (0.25**2 + 0.5**2))
+    )
+    torch.testing.assert_close(evidence.weights[0, 2], torch.full((4,), focal**2 * 0.5**2))
     assert evidence.matched[0].tolist() == [[1.0] * 4] * 3 + [[0.0] * 4]
     assert evidence.weights[0, 3].count_nonzero() == 0
 
@@ -112,9 +135,9 @@ def test_what_the_refinement_looks_at_is_not_differentiated(rng):
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
     intrinsics, matches = backbone.intrinsics(views, raw), backbone.find_matches(raw)
-    refined = backbone.refine(raw, intrinsics, matches)
+    refined = backbone.refine(raw, views.images, intrinsics, matches)
     backbone.refinement = None
-    coarse = backbone.refine(raw, intrinsics, matches)
+    coarse = backbone.refine(raw, views.images, intrinsics, matches)
     assert not torch.equal(refined.log_depths, coarse.log_depths)
     (slope,) = torch.autograd.grad(refined.log_depths.sum(), raw.log_depths)
     assert torch.equal(slope, torch.ones_like(slope))
@@ -133,8 +156,8 @@ def test_without_a_network_depth_still_moves_with_the_cameras(rng):
     with torch.no_grad():
         backbone.log_sharpness.fill_(4.0)
     matches = backbone.find_matches(raw)
-    assert matches.tree[0].peaks_a.trust.min() > 0.6
-    refined = backbone.refine(raw, backbone.intrinsics(views, raw), matches)
+    assert matches.tree[0].of_a.trust.min() > 0.6
+    refined = backbone.refine(raw, views.images, backbone.intrinsics(views, raw), matches)
     moved = refined.log_depths - raw.log_depths
     # Two views with one and the same picture: their depths come together.
     before = (raw.log_depths[0, 0] - raw.log_depths[0, 1]).abs().mean()

@@ -36,6 +36,8 @@ class Sightings:
     """In the frame of here, by its depth."""
     rays: Float[Tensor, "sighting point 2"]
     """Where each is seen: x/z, y/z in the frame of there."""
+    precision: Float[Tensor, "sighting point 2 2"]
+    """Inverse covariance of the rays."""
     depths: Float[Tensor, "sighting point"]
     """Depth of there in that place, > 0."""
     trust: Float[Tensor, "sighting point"]
@@ -50,8 +52,6 @@ class Sightings:
 class BundleNoise:
     """How wrong the parts are; the defaults were measured on held-out rooms."""
 
-    ray: float = 0.006
-    """Of a match, x/z or y/z."""
     shared: float = 0.12
     """Matches of neighbours are wrong together: as many independent ones for each match."""
     depth: float = 0.14
@@ -263,20 +263,22 @@ def _point_errors(
     by_depth_here = torch.cat([slope, turned[..., 2:] * w[..., None]], dim=-1)
     mutual = (z / sightings.depths.clamp_min(NEAREST)).log() - deeper_there
     values = torch.cat([torch.stack([u, v], dim=-1) - sightings.rays, mutual[..., None]], dim=-1)
-    # Ray errors have the covariance ray^2 I + fine_depth^2 slope slope^T: its inverse root takes
-    # the part along the slope down to `kept` of what it is.
-    length = slope.norm(dim=-1, keepdim=True)
-    along = slope / length.clamp_min(1e-9)
-    kept = noise.ray / (noise.ray**2 + (noise.fine_depth * length).square()).sqrt()
-    whiten = (
-        torch.eye(2).to(slope) - (1 - kept)[..., None] * along[..., :, None] * along[..., None, :]
-    )
+    # Ray errors have the covariance precision^-1 + fine_depth^2 slope slope^T. Its inverse, by
+    # Sherman and Morrison, is root root^T with a lower triangle as root.
+    pull = (sightings.precision @ slope[..., None])[..., 0]
+    fine = noise.fine_depth**2
+    taken = fine / (1 + fine * (slope * pull).sum(-1))
+    inverse = sightings.precision - taken[..., None, None] * pull[..., :, None] * pull[..., None, :]
+    root_x = inverse[..., 0, 0].clamp_min(1e-9).sqrt()
+    root_xy = inverse[..., 0, 1] / root_x
+    root_y = (inverse[..., 1, 1] - root_xy.square()).clamp_min(1e-9).sqrt()
     share = noise.shared * sightings.trust * front
 
     def scaled(rows: Tensor) -> Tensor:
         """Rows [sighting point 3 k] in units of their deviation."""
-        rays = whiten[..., 0, None] * rows[..., :1, :] + whiten[..., 1, None] * rows[..., 1:2, :]
-        return torch.cat([rays / noise.ray, rows[..., 2:, :] / noise.mutual_depth], dim=-2)
+        x, y, log_depth = rows.unbind(-2)
+        along_x = root_x[..., None] * x + root_xy[..., None] * y
+        return torch.stack([along_x, root_y[..., None] * y, log_depth / noise.mutual_depth], dim=-2)
 
     values = scaled(values[..., None])[..., 0]
     of_ray = (share / (1 + values[..., :2].square().sum(-1) / noise.outlier**2)).sqrt()

@@ -16,7 +16,8 @@ from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.backbone.depth_anything3 import PATCH as DA3_PATCH
 from instok3d.model.backbone.depth_anything3 import SIZES as DA3_SIZES
 from instok3d.model.backbone.depth_anything3 import DepthAnything3Config
-from instok3d.model.backbone.nano import MATCH_STRIDE, NanoConfig
+from instok3d.model.backbone.matching import MATCH_STRIDE
+from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.backbone.registry import build_backbone
 from instok3d.model.backbone.vggt.config import VGGTConfig
 from instok3d.model.backbone.vggt.dense_head import IMAGES_AT_ONCE

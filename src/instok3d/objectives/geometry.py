@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid, project, transform_points
+from instok3d.model.backbone.matching import MATCH_STRIDE
 from instok3d.model.backbone.nano import NanoBackbone, RawGeometry
-from instok3d.model.backbone.pair_cameras import MATCH_STRIDE
 from instok3d.types import Cameras, Views
 
 

@@ -1,28 +1,46 @@
 """Where the best match of each descriptor cell lies, finer than the cells."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from instok3d.geometry.cameras import pixel_centers
+
+MATCH_STRIDE = 4
+"""Pixels between neighbouring descriptors."""
+PEAK_ERROR_PX = 0.67
+"""How far a peak is taken to lie from its place; what it is wrong by more, neighbours share."""
+
 
 @dataclass(frozen=True)
-class Peaks:
-    """The cells around the best match of each cell, with their shares."""
+class Matches:
+    """Where another view sees cells of a view. Pixels: x, y, the first pixel's centre at 0.5."""
 
-    cells: Int[Tensor, "batch cell window"]
-    shares: Float[Tensor, "batch cell window"]
-    """Sum to 1."""
+    centers: Float[Tensor, "cell 2"]
+    """The cells, in pixels of their own view."""
+    pixels: Float[Tensor, "batch cell 2"]
+    """In the other view."""
+    precision: Float[Tensor, "batch cell 2 2"]
+    """Inverse covariance of `pixels`, 1 / pixel^2."""
     trust: Float[Tensor, "batch cell"]
-    """Probability that the match lies in the window."""
+    """Probability that the match is right at all."""
 
-    def mean(
-        self, values: Float[Tensor, "batch other channel"]
-    ) -> Float[Tensor, "batch cell channel"]:
-        """Mean of the values of the other view's cells, weighted by the shares."""
-        chosen = values.gather(1, self.cells.flatten(1)[..., None].expand(-1, -1, values.shape[-1]))
-        return (chosen.unflatten(1, self.cells.shape[1:]) * self.shares[..., None]).sum(-2)
+    def at(self, cells: Int[Tensor, " chosen"]) -> "Matches":
+        """Those of some cells alone."""
+        return replace(
+            self,
+            centers=self.centers[cells],
+            pixels=self.pixels[:, cells],
+            precision=self.precision[:, cells],
+            trust=self.trust[:, cells],
+        )
+
+
+def cell_centers(rows: int, columns: int, *, like: Tensor) -> Float[Tensor, "cell 2"]:
+    """Pixels in the middle of the cells, row-major."""
+    return pixel_centers(rows, columns, like=like).flatten(0, 1) * MATCH_STRIDE
 
 
 def find_peaks(
@@ -30,15 +48,15 @@ def find_peaks(
     total: Float[Tensor, "batch cell"],
     columns: int,
     radius: int = 2,
-) -> Peaks:
-    """The window of cells around the best match of each cell.
+) -> Matches:
+    """The mean place over the window of cells around the best match of each cell.
 
-    The mean over a window lies between cells, and other modes far away do not draw it aside.
+    It lies between cells, and other modes far away do not draw it aside.
 
     Args:
-        logits: Of each cell to lie at each cell of the other view.
+        logits: Of each cell to lie at each cell of the other view, which is of the same size.
         total: Logarithm of the sum of the exponentials, as NanoBackbone.match gives it.
-        columns: Of the other view's cells.
+        columns: Of the cells of a view.
         radius: Cells on each side of the best one.
     """
     rows = logits.shape[-1] // columns
@@ -50,4 +68,7 @@ def find_peaks(
     cells = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
     window = (logits.gather(-1, cells) - total[..., None]).exp() * inside
     trust = window.sum(-1)
-    return Peaks(cells, window / trust.clamp_min(1e-9)[..., None], trust)
+    centers = cell_centers(rows, columns, like=logits)
+    pixels = (centers[cells] * window[..., None]).sum(-2) / trust.clamp_min(1e-9)[..., None]
+    precision = torch.eye(2).to(logits) / PEAK_ERROR_PX**2
+    return Matches(centers[: logits.shape[1]], pixels, precision.expand(*trust.shape, 2, 2), trust)

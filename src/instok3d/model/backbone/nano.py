@@ -6,7 +6,7 @@ for from matches is learned far faster than one that is regressed from a token. 
 known, the matches say in turn what the depth should have been.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -21,13 +21,16 @@ from instok3d.geometry.cameras import (
 )
 from instok3d.geometry.registration import best_loops, spanning_tree
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
-from instok3d.model.backbone.matching import find_peaks
+from instok3d.model.backbone.matching import MATCH_STRIDE, find_peaks
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, Stem, Unshuffle
 from instok3d.model.backbone.nano_refinement import DepthRefinement, gather_evidence
 from instok3d.model.backbone.pair_cameras import (
-    MATCH_STRIDE,
     PairMatches,
+    PhotoViews,
+    SolvedViews,
     ViewMatches,
+    align_pairs,
+    improve_views,
     solve_views,
 )
 from instok3d.types import Geometry, Views
@@ -73,10 +76,12 @@ class RawGeometry:
 
 @dataclass(frozen=True)
 class RefinedDepth:
-    """Depth and its confidence after the refinement."""
+    """Depth and its confidence after the refinement, and the cameras that it came from."""
 
     log_depths: Float[Tensor, "batch view height width"]
     log_confidences: Float[Tensor, "batch view height width"]
+    cam_from_first: Float[Tensor, "batch view 4 4"]
+    """Solved before the refinement, in its units; not differentiable."""
 
 
 class NanoBackbone(GeometryBackbone):
@@ -185,9 +190,10 @@ class NanoBackbone(GeometryBackbone):
             intrinsics = self.intrinsics(views, raw)
             solved_for = not (known.all() and keep_cameras)
             matches = self.find_matches(raw) if solved_for else ViewMatches([], [])
+        refined = None
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         if not known.all():
-            refined = self.refine(raw, intrinsics, matches)
+            refined = self.refine(raw, views.images, intrinsics, matches)
             log_depths, log_confidences = refined.log_depths, refined.log_confidences
         with torch.autocast(views.images.device.type, enabled=False):
             depths = log_depths.exp()
@@ -197,9 +203,14 @@ class NanoBackbone(GeometryBackbone):
                 cam_from_world = views.cam_from_world.float()
             else:
                 free = (~known).all(-1).all(-1).float()
-                solved = solve_views(
-                    matches, depths, intrinsics, depth_is_free=free, noise=AFTER_REFINEMENT
-                )
+                posed = PhotoViews(views.images.float(), depths, intrinsics)
+                if refined is None or known.any():
+                    solved = solve_views(matches, posed, depth_is_free=free, noise=AFTER_REFINEMENT)
+                else:
+                    start = SolvedViews(refined.cam_from_first, torch.zeros_like(depths))
+                    solved = improve_views(
+                        matches, posed, start, depth_is_free=free, noise=AFTER_REFINEMENT
+                    )
                 cam_from_world = solved.cam_from_first
         prediction = Prediction(
             features=raw.features,
@@ -213,6 +224,7 @@ class NanoBackbone(GeometryBackbone):
     def refine(
         self,
         raw: RawGeometry,
+        images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
         matches: ViewMatches,
     ) -> RefinedDepth:
@@ -223,15 +235,15 @@ class NanoBackbone(GeometryBackbone):
         """
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
-            depths = log_depths.exp()
-            free = torch.ones_like(depths[..., 0, 0])
-            solved = solve_views(matches, depths, intrinsics, depth_is_free=free, noise=AT_FIRST)
+            views = PhotoViews(images.float(), log_depths.exp(), intrinsics)
+            free = torch.ones_like(views.depths[..., 0, 0])
+            solved = solve_views(matches, views, depth_is_free=free, noise=AT_FIRST)
         log_depths = log_depths + solved.deeper
         if self.refinement is not None:
-            with torch.autocast(log_depths.device.type, enabled=False):
-                evidence = gather_evidence(
-                    matches.pairs, solved.cam_from_first, log_depths.detach().exp(), intrinsics
-                )
+            with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
+                views = replace(views, depths=log_depths.exp())
+                aligned = align_pairs(matches.pairs, views, solved.cam_from_first)
+                evidence = gather_evidence(aligned, views, solved.cam_from_first)
             deeper, surer = self.refinement(
                 evidence,
                 log_depths.detach(),
@@ -240,7 +252,9 @@ class NanoBackbone(GeometryBackbone):
                 raw.quarter.detach(),
             )
             log_depths, log_confidences = log_depths + deeper, log_confidences + surer
-        return RefinedDepth(log_depths.clamp(-4, 4), log_confidences.clamp(-4, 6))
+        return RefinedDepth(
+            log_depths.clamp(-4, 4), log_confidences.clamp(-4, 6), solved.cam_from_first
+        )
 
     def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:
         """The given intrinsics, or predicted ones with the principal point in the middle."""
@@ -281,9 +295,9 @@ class NanoBackbone(GeometryBackbone):
                 raw.descriptors[scenes, views_a], raw.descriptors[scenes, views_b]
             )
             total_b = torch.logaddexp(logits.logsumexp(dim=1), self.no_match())
-            peaks_a = find_peaks(logits, total_a, columns)
-            peaks_b = find_peaks(logits.mT, total_b, columns)
-            found.append(PairMatches(views_a, views_b, peaks_a, peaks_b))
+            of_a = find_peaks(logits, total_a, columns)
+            of_b = find_peaks(logits.mT, total_b, columns)
+            found.append(PairMatches(views_a, views_b, of_a, of_b))
         return found
 
     @torch.no_grad()

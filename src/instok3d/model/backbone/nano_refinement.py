@@ -13,16 +13,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from instok3d.geometry.cameras import invert_rigid
+from instok3d.model.backbone.matching import MATCH_STRIDE
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, convolve
 from instok3d.model.backbone.pair_cameras import (
-    MATCH_STRIDE,
     MatchedPoints,
     PairMatches,
+    PhotoViews,
     matched_points,
 )
 
 NEAREST = 0.05
 """Depth at which a point counts as behind a camera, in the network's units."""
+TYPICAL_DEVIATION = 0.06
+"""Of log depth: evidence that is as sure as this is half believed before the network looks."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class ParallaxEvidence:
     residuals: Float[Tensor, "batch view cell"]
     """Change of log depth that brings the projections nearest to the matches; weighted mean."""
     weights: Float[Tensor, "batch view cell"]
-    """Sum of trust times squared parallax: x/z, y/z for a change of log depth."""
+    """Sum of trust times precision of that change: of the matches, by their parallax."""
     trust: Float[Tensor, "batch view cell"]
     """Of the best match."""
     misses: Float[Tensor, "batch view cell"]
@@ -43,36 +46,29 @@ class ParallaxEvidence:
 
 @torch.no_grad()
 def gather_evidence(
-    pairs: list[PairMatches],
-    cam_from_first: Float[Tensor, "batch view 4 4"],
-    depths: Float[Tensor, "batch view height width"],
-    intrinsics: Float[Tensor, "batch view 3 3"],
+    pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
 ) -> ParallaxEvidence:
     """What all pairs of views say of each view's depth; not differentiable.
 
     Args:
-        pairs: The matches.
+        pairs: The matches, of all cells.
+        views: With the depths that are predicted so far.
         cam_from_first: The solved cameras, in units of the depths.
-        depths: Predicted so far.
-        intrinsics: Pixels.
     """
-    batch, count, height, width = depths.shape
-    scenes = torch.arange(batch, device=depths.device)
+    batch, count, height, width = views.depths.shape
+    scenes = torch.arange(batch, device=views.depths.device)
     cells = (height // MATCH_STRIDE) * (width // MATCH_STRIDE)
-    residuals, weights, trust, misses, matched = depths.new_zeros(5, batch, count, cells)
+    residuals, weights, trust, misses, matched = views.depths.new_zeros(5, batch, count, cells)
+    cameras = cam_from_first.to(views.depths)
     for pair in pairs:
-        ways = matched_points(pair, depths, intrinsics)
-        a, b = (cam_from_first[scenes, view].to(depths) for view in (pair.views_a, pair.views_b))
-        motions = (b @ invert_rigid(a), a @ invert_rigid(b))
-        for way, view, other_from_here in zip(
-            ways, (pair.views_a, pair.views_b), motions, strict=True
-        ):
-            residual, weight, miss = measure_parallax(way, other_from_here)
-            residuals[scenes, view] += residual * weight
-            misses[scenes, view] += miss * weight
-            weights[scenes, view] += weight
-            trust[scenes, view] = torch.maximum(trust[scenes, view], way.trust)
-            matched[scenes, view] = 1.0
+        for (here, there, _), way in zip(pair.ways, matched_points(pair, views), strict=True):
+            there_from_here = cameras[scenes, there] @ invert_rigid(cameras[scenes, here])
+            residual, weight, miss = measure_parallax(way, there_from_here)
+            residuals[scenes, here] += residual * weight
+            misses[scenes, here] += miss * weight
+            weights[scenes, here] += weight
+            trust[scenes, here] = torch.maximum(trust[scenes, here], way.trust)
+            matched[scenes, here] = 1.0
     total = weights.clamp_min(1e-9)
     return ParallaxEvidence(residuals / total, weights, trust, misses / total, matched)
 
@@ -82,7 +78,8 @@ def measure_parallax(
 ) -> tuple[Float[Tensor, "batch cell"], Float[Tensor, "batch cell"], Float[Tensor, "batch cell"]]:
     """(residual, weight, miss) of each cell by its match in one other view.
 
-    One Gauss-Newton step of the log depth on the distance between projection and match.
+    One Gauss-Newton step of the log depth on the distance between projection and match, measured
+    by the match's precision. The miss is a distance in x/z, y/z.
     """
     turned = way.points @ other_from_here[:, :3, :3].mT
     seen = turned + other_from_here[:, None, :3, 3]
@@ -90,10 +87,11 @@ def measure_parallax(
     projected = seen[..., :2] / depth
     slope = (turned[..., :2] - projected * turned[..., 2:]) / depth  # d projected / d log depth
     error = way.rays - projected
-    parallax = slope.square().sum(-1)
-    residual = (slope * error).sum(-1) / parallax.clamp_min(1e-9)
+    pull = (way.precision @ slope[..., None])[..., 0]
+    precision = (slope * pull).sum(-1)
+    residual = (pull * error).sum(-1) / precision.clamp_min(1e-9)
     miss = (error - slope * residual[..., None]).norm(dim=-1)
-    weight = way.trust * parallax * (seen[..., 2] > NEAREST)
+    weight = way.trust * precision * (seen[..., 2] > NEAREST)
     return residual.clamp(-1, 1), weight, miss.clamp_max(1)
 
 
@@ -152,11 +150,12 @@ class DepthRefinement(nn.Module):
 
 def _evidence_picture(evidence: ParallaxEvidence) -> Float[Tensor, "image 5 cell"]:
     """The evidence in numbers of about one."""
-    worth = evidence.weights / (evidence.weights + 0.01)
+    weights = evidence.weights * TYPICAL_DEVIATION**2
+    worth = weights / (weights + 1)
     channels = [
         3 * worth * evidence.residuals,
         evidence.residuals,
-        (0.25 * (evidence.weights + 1e-6).log() + 1.5) * evidence.matched,
+        (0.25 * (weights + 1e-4).log() + 0.35) * evidence.matched,
         evidence.trust,
         (20 * evidence.misses).clamp_max(2),
     ]

@@ -1,6 +1,6 @@
 """Cameras of all views from the matches of pairs of them, and what the matches say of depth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -8,12 +8,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.geometry.bundle import BundleNoise, Sightings, adjust_bundle, coarse_grid
-from instok3d.geometry.cameras import pixel_centers, pixel_rays
 from instok3d.geometry.registration import compose_along_tree, register_pair
-from instok3d.model.backbone.matching import Peaks
+from instok3d.model.backbone.alignment import PhotoGeometry, align_matches, sample_depth
+from instok3d.model.backbone.matching import MATCH_STRIDE, Matches
 
-MATCH_STRIDE = 4
-"""Pixels between neighbouring descriptors."""
+ALIGNMENT_ROUNDS = 3
+"""So many times matches are aligned by the cameras and the cameras solved from them."""
+ALIGNED_SHARED = 0.3
+"""As many independent matches an aligned one is worth; more than one that was not aligned."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +24,18 @@ class PairMatches:
 
     views_a: Int[Tensor, " batch"]
     views_b: Int[Tensor, " batch"]
-    peaks_a: Peaks
+    of_a: Matches
     """Where the cells of a lie in b."""
-    peaks_b: Peaks
+    of_b: Matches
     """Where the cells of b lie in a."""
+
+    @property
+    def ways(self) -> tuple[tuple[Tensor, Tensor, Matches], tuple[Tensor, Tensor, Matches]]:
+        """(views here, views there, matches of cells of here in there), both ways."""
+        return (
+            (self.views_a, self.views_b, self.of_a),
+            (self.views_b, self.views_a, self.of_b),
+        )
 
 
 @dataclass(frozen=True)
@@ -54,6 +64,25 @@ class SolvedViews:
 
 
 @dataclass(frozen=True)
+class PhotoViews:
+    """Photos of all views and the geometry in which their matches are looked at."""
+
+    images: Float[Tensor, "batch view 3 height width"]
+    depths: Float[Tensor, "batch view height width"]
+    """> 0."""
+    intrinsics: Float[Tensor, "batch view 3 3"]
+    """Pixels."""
+
+    def at(
+        self, views: Int[Tensor, " batch"], cam_from_first: Float[Tensor, "batch view 4 4"]
+    ) -> PhotoGeometry:
+        """One view of each scene."""
+        scenes = torch.arange(len(views), device=views.device)
+        parts = (self.images, self.depths, self.intrinsics, cam_from_first)
+        return PhotoGeometry(*(part[scenes, views] for part in parts))
+
+
+@dataclass(frozen=True)
 class MatchedPoints:
     """Cells of one view in space, and where another view sees them: one direction of a pair."""
 
@@ -61,37 +90,36 @@ class MatchedPoints:
     """Where the depth puts each cell, in its own camera's frame."""
     rays: Float[Tensor, "batch cell 2"]
     """x/z, y/z of its match in the other camera's frame."""
+    precision: Float[Tensor, "batch cell 2 2"]
+    """Inverse covariance of the rays."""
     matched: Float[Tensor, "batch cell 3"]
     """Where the other view's depth puts the match, in the other camera's frame."""
     trust: Float[Tensor, "batch cell"]
     """Probability of the match."""
 
 
-def matched_points(
-    pair: PairMatches,
-    depths: Float[Tensor, "batch view height width"],
-    intrinsics: Float[Tensor, "batch view 3 3"],
-) -> tuple[MatchedPoints, MatchedPoints]:
+def matched_points(pair: PairMatches, views: PhotoViews) -> tuple[MatchedPoints, MatchedPoints]:
     """The cells of a as b sees them, and the cells of b as a sees them."""
-    scenes = torch.arange(len(depths), device=depths.device)
-    points, rays = [], []
-    for views in (pair.views_a, pair.views_b):
-        coarse = functional.avg_pool2d(depths[scenes, views, None].log(), MATCH_STRIDE)[:, 0].exp()
-        directions = cell_rays(intrinsics[scenes, views], depths.shape[-2], depths.shape[-1])
-        points.append((directions * coarse[..., None]).flatten(1, 2))
-        rays.append(directions[..., :2].flatten(1, 2))
-    a, b = (
-        MatchedPoints(points[here], peaks.mean(rays[there]), peaks.mean(points[there]), peaks.trust)
-        for here, there, peaks in ((0, 1, pair.peaks_a), (1, 0, pair.peaks_b))
-    )
-    return a, b
+    scenes = torch.arange(len(views.depths), device=views.depths.device)
+    found = []
+    for here, there, matches in pair.ways:
+        own = matches.centers.expand(len(scenes), -1, -1)
+        points = _points_at(own, views.depths[scenes, here], views.intrinsics[scenes, here])
+        intrinsics = views.intrinsics[scenes, there]
+        matched = _points_at(matches.pixels, views.depths[scenes, there], intrinsics)
+        focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)
+        by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
+        rays = matched[..., :2] / matched[..., 2:]
+        found.append(
+            MatchedPoints(points, rays, matches.precision * by_focal, matched, matches.trust)
+        )
+    return found[0], found[1]
 
 
 @torch.no_grad()
 def solve_views(
     matches: ViewMatches,
-    depths: Float[Tensor, "batch view height width"],
-    intrinsics: Float[Tensor, "batch view 3 3"],
+    views: PhotoViews,
     *,
     depth_is_free: Float[Tensor, "batch view"],
     noise: BundleNoise,
@@ -99,27 +127,102 @@ def solve_views(
     """The cameras under which all matches fit best, and depth moved with them.
 
     Pairs along the tree are solved alone and chained; from there all views and pairs are adjusted
-    together. Not differentiable.
+    together. With these cameras the photos say more exactly where the matches lie, and so on in
+    turn. Not differentiable.
 
     Args:
         matches: Of all views.
-        depths: > 0; the cameras come out in their units.
-        intrinsics: Pixels.
+        views: The cameras come out in units of their depths.
         depth_is_free: 1 for views whose depth may change, 0 where it is known.
-        noise: What to expect of matches and depths.
+        noise: What to expect of the depths.
     """
-    ways = [matched_points(pair, depths, intrinsics) for pair in matches.pairs]
-    start = _chain(matches.tree, ways, batch=len(depths)).to(depths)
-    height, width = depths.shape[-2:]
-    grid = coarse_grid(height, width)
+    ways = [matched_points(pair, views) for pair in matches.pairs]
+    chained = _chain(matches.tree, ways, batch=len(views.depths)).to(views.depths)
+    solved = SolvedViews(chained, torch.zeros_like(views.depths))
     if not ways:
-        return SolvedViews(start, torch.zeros_like(depths))
-    sightings = _sightings(matches.pairs, ways, height, width)
-    cam_from_first, changes = adjust_bundle(sightings, start, depth_is_free, grid, noise=noise)
+        return solved
+    solved = _adjust(_thinned(matches.pairs, views), views, chained, depth_is_free, noise)
+    for _ in range(ALIGNMENT_ROUNDS):
+        solved = improve_views(matches, views, solved, depth_is_free=depth_is_free, noise=noise)
+    return solved
+
+
+@torch.no_grad()
+def improve_views(
+    matches: ViewMatches,
+    views: PhotoViews,
+    solved: SolvedViews,
+    *,
+    depth_is_free: Float[Tensor, "batch view"],
+    noise: BundleNoise,
+) -> SolvedViews:
+    """One round more: the matches aligned by what is solved, and everything solved from them.
+
+    Args:
+        matches: Of all views, as they were found.
+        views: As in `solve_views`.
+        solved: Where to begin.
+        depth_is_free: As in `solve_views`.
+        noise: What to expect of the depths of `views`.
+    """
+    if not matches.pairs:
+        return solved
+    moved = replace(views, depths=views.depths * solved.deeper.exp())
+    pairs = align_pairs(_thinned(matches.pairs, views), moved, solved.cam_from_first)
+    noise = replace(noise, shared=ALIGNED_SHARED)
+    return _adjust(pairs, views, solved.cam_from_first, depth_is_free, noise)
+
+
+def align_pairs(
+    pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
+) -> list[PairMatches]:
+    """All matches moved to where the photos agree best, near where cameras and depth put them."""
+    aligned = []
+    for pair in pairs:
+        of_a, of_b = (
+            align_matches(matches, views.at(here, cam_from_first), views.at(there, cam_from_first))
+            for here, there, matches in pair.ways
+        )
+        aligned.append(replace(pair, of_a=of_a, of_b=of_b))
+    return aligned
+
+
+def _adjust(
+    pairs: list[PairMatches],
+    views: PhotoViews,
+    cameras: Float[Tensor, "batch view 4 4"],
+    depth_is_free: Float[Tensor, "batch view"],
+    noise: BundleNoise,
+) -> SolvedViews:
+    height, width = views.depths.shape[-2:]
+    grid = coarse_grid(height, width)
+    sightings = _sightings(pairs, views)
+    cam_from_first, changes = adjust_bundle(sightings, cameras, depth_is_free, grid, noise=noise)
     deeper = functional.interpolate(
         changes.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
     )
     return SolvedViews(cam_from_first, deeper)
+
+
+def _points_at(
+    pixels: Float[Tensor, "batch point 2"],
+    depths: Float[Tensor, "batch height width"],
+    intrinsics: Float[Tensor, "batch 3 3"],
+) -> Float[Tensor, "batch point 3"]:
+    """Points of the surface at places of an image, in the camera's frame."""
+    rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1) @ intrinsics.inverse().mT
+    return rays * sample_depth(depths, pixels)[..., None]
+
+
+def _thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
+    """The matches of every second cell each way.
+
+    Those of neighbouring cells are wrong together: all of them say little more than a quarter.
+    """
+    rows, columns = (size // MATCH_STRIDE for size in views.depths.shape[-2:])
+    number = torch.arange(rows * columns, device=views.depths.device).view(rows, columns)
+    cells = number[::2, ::2].flatten()
+    return [replace(pair, of_a=pair.of_a.at(cells), of_b=pair.of_b.at(cells)) for pair in pairs]
 
 
 def _chain(
@@ -138,40 +241,15 @@ def _chain(
     return torch.stack(scenes)
 
 
-def _sightings(
-    pairs: list[PairMatches],
-    ways: list[tuple[MatchedPoints, MatchedPoints]],
-    height: int,
-    width: int,
-) -> Sightings:
-    """Both directions of every pair of every scene, one row each, from every second cell.
-
-    Matches of neighbouring cells are wrong together: all of them say little more than a quarter.
-    """
-    rows, columns = height // MATCH_STRIDE, width // MATCH_STRIDE
-    chosen = torch.arange(rows * columns).view(rows, columns)[::2, ::2].flatten()
-    like = ways[0][0].points
-    size = torch.tensor([columns, rows]).to(like)
-    cells = (pixel_centers(rows, columns, like=like) / size).flatten(0, 1)
+def _sightings(pairs: list[PairMatches], views: PhotoViews) -> Sightings:
+    """Both directions of every pair of every scene, one row each."""
+    height, width = views.depths.shape[-2:]
+    size = torch.tensor([width, height]).to(views.depths)
+    scenes = torch.arange(len(views.depths), device=size.device)
     parts = []
-    for pair, (a, b) in zip(pairs, ways, strict=True):
-        batch = len(pair.views_a)
-        scenes = torch.arange(batch, device=like.device)
-        places = cells.expand(batch, -1, -1)
-        for here, there, way, peaks in (
-            (pair.views_a, pair.views_b, a, pair.peaks_a),
-            (pair.views_b, pair.views_a, b, pair.peaks_b),
-        ):
-            of_cells = (way.points, way.rays, way.matched[..., 2], way.trust, places)
-            of_cells = (*of_cells, peaks.mean(places))
-            parts.append((scenes, here, there, *(each[:, chosen] for each in of_cells)))
+    for pair in pairs:
+        for (here, there, matches), way in zip(pair.ways, matched_points(pair, views), strict=True):
+            places = (matches.centers / size).expand(len(scenes), -1, -1)
+            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.trust)
+            parts.append((scenes, here, there, *points, places, matches.pixels / size))
     return Sightings(*(torch.cat(each) for each in zip(*parts, strict=True)))
-
-
-def cell_rays(
-    intrinsics: Float[Tensor, "batch 3 3"], height: int, width: int
-) -> Float[Tensor, "batch row column 3"]:
-    """Rays through the centres of the descriptor cells, z = 1, in each camera's frame."""
-    scaled = intrinsics.clone()
-    scaled[:, :2] = scaled[:, :2] / MATCH_STRIDE
-    return pixel_rays(scaled, height // MATCH_STRIDE, width // MATCH_STRIDE)
