@@ -24,6 +24,8 @@ ADDED_LATER: dict[str, dict[str, Any]] = {
         "normalize_scale": True,
         "pad_duplicates": False,
         "project_assignment": True,
+        "window_views": 0,
+        "thin_free_space": False,
     },
 }
 """Sizes that files of this format may lack, and what such a file was made with."""

@@ -7,6 +7,7 @@ from torch import nn
 from instok3d.model.anchors import AnchorDecoder, AnchorPlacement
 from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.context import ContextFusion
+from instok3d.model.free_space import thin_out_free_space
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.model.grouping import Assignment, GroupDecoder
 from instok3d.model.transformer import Decoder
@@ -51,6 +52,8 @@ class TokenizerConfig:
     project_assignment: bool = True
     """Linear maps of anchors and groups before their dot product (Eq. 3); the paper has none."""
     gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
+    thin_free_space: bool = True
+    """Take opacity from Gaussians that other views see through. The paper does not."""
 
     def __post_init__(self):
         for name in ("num_anchors", "num_groups", "anchor_layers", "group_layers"):
@@ -73,6 +76,7 @@ PAPER = TokenizerConfig(
     normalize_scale=False,
     project_assignment=False,
     gaussian_head=GaussianHeadConfig(gaussians_per_anchor=32, seeding="anchor", sh_degree=2),
+    thin_free_space=False,
 )
 """The sizes of the paper (Sec. 4), for a backbone with patches of 16 pixels and scenes in metres:
 Gaussians within 0.1 m of their anchor along each axis and no larger than 0.3 m."""
@@ -110,8 +114,8 @@ class Tokenizer(nn.Module):
     def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
         """A scene of each set of photos, in scene units and in the first view's camera frame.
 
-        More views than window_views are tokenized window by window and joined; all else is
-        `tokenize`.
+        More views than window_views are tokenized window by window and joined; where a view sees
+        through a Gaussian, that loses opacity; all else is `tokenize`.
 
         Args:
             views: 1 to 16 photos of each scene.
@@ -125,13 +129,10 @@ class Tokenizer(nn.Module):
         seen: Geometry = self.backbone(views) if geometry is None else geometry
         size = self.config.window_views
         if size == 0 or views.images.shape[1] <= size:
-            return self.tokenize(views, seen)
-        scenes = []
-        for scene in range(len(views.images)):
-            windows = view_windows(seen, scene, size)
-            parts = [self.tokenize(*cut_window(views, seen, scene, window)) for window in windows]
-            scenes.append(join_windows(parts, windows, seen, scene))
-        return collate_scenes(scenes, seen)
+            groups = self.tokenize(views, seen)
+        else:
+            groups = self._tokenize_windows(views, seen, size)
+        return thin_out_free_space(groups) if self.config.thin_free_space else groups
 
     def tokenize(self, views: Views, seen: Geometry) -> TokenGroups:
         """All views at once, one line for each arrow of Fig. 2(a).
@@ -160,6 +161,15 @@ class Tokenizer(nn.Module):
             ),
             geometry=seen,
         )
+
+    def _tokenize_windows(self, views: Views, seen: Geometry, size: int) -> TokenGroups:
+        """Each window of so many views by itself, and all of them as one scene."""
+        scenes = []
+        for scene in range(len(views.images)):
+            windows = view_windows(seen, scene, size)
+            parts = [self.tokenize(*cut_window(views, seen, scene, window)) for window in windows]
+            scenes.append(join_windows(parts, windows, seen, scene))
+        return collate_scenes(scenes, seen)
 
     def own_parameters(self) -> list[nn.Parameter]:
         """Parameters of everything but the backbone."""
