@@ -21,7 +21,7 @@ PATCH = 8
 """Pixels across the patch that is compared; even, as the middle of a cell is a corner of four."""
 PATCH_REACH_PX = 4.0
 """Standard deviation of the weights of the patch's pixels."""
-COLOR_NOISE = 0.006
+COLOR_NOISE = 0.004
 """Of a colour from 0 to 1. Larger differences count less and less (Cauchy), so a noisier photo
 loosens its matches by itself."""
 SHARED = 8.0

@@ -19,6 +19,7 @@ from instok3d.geometry.cameras import (
     pixel_centers,
     pixel_rays,
 )
+from instok3d.geometry.depth_agreement import agree_on_depths
 from instok3d.geometry.registration import best_loops, spanning_tree
 from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.model.backbone.matching import MATCH_STRIDE, find_peaks
@@ -212,10 +213,14 @@ class NanoBackbone(GeometryBackbone):
                         matches, posed, start, depth_is_free=free, noise=AFTER_REFINEMENT
                     )
                 cam_from_world = solved.cam_from_first
+            # Confidences are from 1 upwards, as the heads of the published models give them.
+            confidences = 1 + log_confidences.exp()
+            change = agree_on_depths(depths, confidences, cam_from_world, intrinsics)
+            depths = torch.where(known, depths, depths * change.exp())
         prediction = Prediction(
             features=raw.features,
             depths=depths,
-            confidences=1 + log_confidences.exp(),
+            confidences=confidences,
             cam_from_world=cam_from_world,
             intrinsics=intrinsics,
         )

@@ -12,7 +12,7 @@ from instok3d.geometry.registration import compose_along_tree, register_pair
 from instok3d.model.backbone.alignment import PhotoGeometry, align_matches, sample_depth
 from instok3d.model.backbone.matching import MATCH_STRIDE, Matches
 
-ALIGNMENT_ROUNDS = 3
+ALIGNMENT_ROUNDS = 5
 """So many times matches are aligned by the cameras and the cameras solved from them."""
 ALIGNED_SHARED = 0.3
 """As many independent matches an aligned one is worth; more than one that was not aligned."""
