@@ -23,8 +23,8 @@ SAME_GROUP_IOU = 0.15
 def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
     """Numbers of the views in each window: `size` neighbours of a path through all views.
 
-    Each window shares half of its views with the next, the last one more if the count asks for
-    it, so that groups can be followed from one to the next.
+    Each window begins one view after the one before: groups can be followed from one to the next,
+    and an anchor's assignment is the mean over several windows.
 
     Args:
         geometry: Of the whole batch; says which views see the same.
@@ -33,17 +33,12 @@ def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
     """
     with torch.autocast(geometry.depths.device.type, enabled=False):
         path = order_along_path(view_overlaps(geometry, scene))
-    return [path[start : start + size] for start in _window_starts(len(path), size)]
+    return [path[start : start + size] for start in range(count_windows(len(path), size))]
 
 
 def count_windows(views: int, size: int) -> int:
     """How many windows of `size` there are for so many views."""
-    return len(_window_starts(views, size))
-
-
-def _window_starts(views: int, size: int) -> list[int]:
-    last = max(views - size, 0)
-    return [*range(0, last, max(size // 2, 1)), last]
+    return max(views - size, 0) + 1
 
 
 def cut_window(
