@@ -95,7 +95,9 @@ def test_exact_matches_bring_wrong_cameras_back_and_leave_the_depth(rng):
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
     start = rigid_from_twist(0.03 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes = adjust_bundle(sightings, start[None], torch.ones(1, 3), GRID, iterations=12)
+    cameras, changes, _ = adjust_bundle(
+        sightings, start[None], torch.ones(1, 3), GRID, iterations=12
+    )
     torch.testing.assert_close(cameras[0], true, atol=2e-3, rtol=0)
     torch.testing.assert_close(changes, torch.zeros(1, 3, 16), atol=5e-3, rtol=0)
 
@@ -108,7 +110,7 @@ def test_wrong_depth_is_found_together_with_the_cameras(rng):
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], error)
     start = rigid_from_twist(0.02 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes = adjust_bundle(sightings, start[None], torch.ones(1, 3), GRID)
+    cameras, changes, _ = adjust_bundle(sightings, start[None], torch.ones(1, 3), GRID)
     left = error + changes[0]
     left = left - left.mean()
     assert left.std() < 0.4 * error.std()
@@ -120,7 +122,7 @@ def test_known_depth_stays(rng):
     error = torch.zeros(2, 16)
     error[1] = 0.1 * torch.randn(16, generator=rng)
     sightings = sight(rng, true, [(0, 1)], error)
-    _, changes = adjust_bundle(sightings, true[None], torch.tensor([[0.0, 1.0]]), GRID)
+    _, changes, _ = adjust_bundle(sightings, true[None], torch.tensor([[0.0, 1.0]]), GRID)
     assert changes[0, 0].abs().max() < 1e-3
     assert changes[0, 1].abs().max() > 0.03
 
@@ -133,9 +135,9 @@ def test_a_pair_that_contradicts_the_others_changes_nothing(rng):
     start = (rigid_from_twist(0.01 * torch.randn(4, 6, generator=rng)) @ true)[None]
     start[0, 0] = true[0]
     free = torch.ones(1, 4)
-    with_it, _ = adjust_bundle(replace(sightings, rays=rays), start, free, GRID)
+    with_it, *_ = adjust_bundle(replace(sightings, rays=rays), start, free, GRID)
     kept = {name: value[~false] for name, value in vars(sightings).items()}
-    without, _ = adjust_bundle(Sightings(**kept), start, free, GRID)
+    without, *_ = adjust_bundle(Sightings(**kept), start, free, GRID)
     torch.testing.assert_close(with_it, without, atol=1e-5, rtol=0)
 
 
@@ -144,7 +146,7 @@ def test_matches_that_nobody_trusts_change_nothing(rng, trust):
     true = cameras_on_a_path(2)
     sightings = sight(rng, true, [(0, 1)], torch.ones(2, 16))
     unsure = replace(sightings, trust=torch.full_like(sightings.trust, trust))
-    cameras, changes = adjust_bundle(unsure, true[None], torch.ones(1, 2), GRID)
+    cameras, changes, _ = adjust_bundle(unsure, true[None], torch.ones(1, 2), GRID)
     torch.testing.assert_close(cameras[0], true, atol=1e-5, rtol=0)
     assert changes.abs().max() < 1e-6
 
@@ -153,7 +155,7 @@ def test_points_behind_the_other_camera_are_left_out(rng):
     turned_away = torch.eye(4).repeat(2, 1, 1)
     turned_away[1, 0, 0] = turned_away[1, 2, 2] = -1
     sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
-    cameras, changes = adjust_bundle(sightings, turned_away[None], torch.ones(1, 2), GRID)
+    cameras, changes, _ = adjust_bundle(sightings, turned_away[None], torch.ones(1, 2), GRID)
     torch.testing.assert_close(cameras[0], turned_away, atol=1e-5, rtol=0)
     assert changes.isfinite().all()
 
@@ -163,7 +165,7 @@ def test_without_another_view_everything_stays(rng):
     nothing = Sightings(**{name: value[:0] for name, value in vars(nothing).items()})
     for count in (1, 3):
         start = cameras_on_a_path(count)[None]
-        cameras, changes = adjust_bundle(nothing, start, torch.ones(1, count), GRID)
+        cameras, changes, _ = adjust_bundle(nothing, start, torch.ones(1, count), GRID)
         assert torch.equal(cameras, start)
         assert changes.shape == (1, count, 16)
         assert changes.count_nonzero() == 0
@@ -177,10 +179,10 @@ def test_a_ray_counts_as_far_as_it_is_precise(rng):
     wrong = torch.stack([torch.zeros(2, POINTS), 0.05 * torch.ones(2, POINTS)], dim=-1)
     free, start = torch.ones(1, 2), true[None]
     blind = replace(exact, rays=exact.rays + wrong, precision=sideways)
-    cameras, _ = adjust_bundle(blind, start, free, GRID)
+    cameras, *_ = adjust_bundle(blind, start, free, GRID)
     torch.testing.assert_close(cameras, start, atol=2e-3, rtol=0)
     seeing = replace(exact, rays=exact.rays + wrong)
-    cameras, _ = adjust_bundle(seeing, start, free, GRID)
+    cameras, *_ = adjust_bundle(seeing, start, free, GRID)
     assert (cameras - start).abs().max() > 0.02
 
 
@@ -192,10 +194,11 @@ def test_fine_depth_error_loosens_a_ray_along_its_parallax_alone(rng):
     noise = BundleNoise(fine_depth=0.05, shared=1.0, outlier=1e6)
     there_from_here = cameras_on_a_path(2)[[1, 0]] @ invert_rigid(cameras_on_a_path(2)[[0, 1]])
     nothing = torch.zeros(2, POINTS)
-    errors = bundle._point_errors(sightings, there_from_here, nothing, nothing, noise)
+    known = torch.zeros(2)
+    errors = bundle._point_errors(sightings, there_from_here, nothing, nothing, known, noise)
     plain = bundle._point_errors(
         replace(sightings, precision=torch.eye(2).expand_as(mixed)),
-        there_from_here, nothing, nothing, replace(noise, fine_depth=0.0),
+        there_from_here, nothing, nothing, known, replace(noise, fine_depth=0.0),
     )  # fmt: skip
     slope = plain.by_depth_here[..., :2]
     covariance = mixed.inverse() + 0.05**2 * slope[..., :, None] * slope[..., None, :]
@@ -217,22 +220,51 @@ def test_gradient_is_that_of_the_robust_errors(rng):
     start = (rigid_from_twist(0.05 * torch.randn(2, 6, generator=rng)) @ true).double()
     nodes = 0.1 * torch.randn(1, 2, 16, generator=rng).double()
     here, there = (node_weights(p, GRID) for p in (sightings.places_here, sightings.places_there))
-    _, gradient = bundle._normal_equations(sightings, start[None], nodes, here, there, noise)
+    longer = torch.tensor([0.07]).double()
+    equations = bundle._normal_equations(sightings, start[None], nodes, longer, here, there, noise)
 
     twist = torch.zeros(2, 6, dtype=torch.double, requires_grad=True)
-    moved_nodes = nodes.clone().requires_grad_()
+    moved_nodes, focal = nodes.clone().requires_grad_(), longer.clone().requires_grad_()
     cameras = rigid_from_twist(twist) @ start
     cost = torch.zeros((), dtype=torch.double)
     for row, (a, b) in enumerate([(0, 1), (1, 0)]):
-        points = sightings.points[row] * (here[row] @ moved_nodes[0, a]).exp()[:, None]
+        points = sightings.points[row] * torch.cat([(-focal).exp().expand(2), torch.ones(1)])
+        points = points * (here[row] @ moved_nodes[0, a]).exp()[:, None]
         seen = transform_points(cameras[b] @ invert_rigid(cameras[a]), points)
-        off = seen[:, :2] / seen[:, 2:] - sightings.rays[row]
+        off = focal.exp() * seen[:, :2] / seen[:, 2:] - sightings.rays[row]
         ray = ((off @ mixed[0, 0]) * off).sum(-1)
         log_depth = sightings.depths[row].log() + there[row] @ moved_nodes[0, b]
         depth = ((seen[:, 2].log() - log_depth) / noise.mutual_depth).square()
         share = noise.shared * sightings.trust[row]
         for error in (ray, depth):
             cost = cost + (share * noise.outlier**2 / 2 * (error / noise.outlier**2).log1p()).sum()
-    by_twist, by_nodes = torch.autograd.grad(cost, (twist, moved_nodes))
+    by_twist, by_nodes, by_focal = torch.autograd.grad(cost, (twist, moved_nodes, focal))
+    gradient = equations.gradient
     torch.testing.assert_close(gradient[0, :, :6], by_twist, atol=1e-8, rtol=1e-6)
     torch.testing.assert_close(gradient[..., 6:], by_nodes, atol=1e-8, rtol=1e-6)
+    torch.testing.assert_close(equations.focal_gradient, by_focal, atol=1e-8, rtol=1e-6)
+
+
+def test_a_wrong_focal_length_is_found_where_it_is_free(rng):
+    # Points and rays as they seem where the focal length is 1.1 times what it is taken for. Most of
+    # that is found; short paths do not tell all.
+    true = cameras_on_a_path(4)
+    pairs = [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)]
+    sightings = sight(rng, true, pairs, torch.zeros(4, 16))
+    taken = torch.tensor([1.1, 1.1, 1.0])
+    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+    start, free = true[None], torch.ones(1, 4)
+    cameras, _, log_focal = adjust_bundle(
+        wrong, start, free, GRID, focal_is_free=True, iterations=20
+    )
+    torch.testing.assert_close(log_focal, torch.tensor([1.1]).log(), atol=0.03, rtol=0)
+    assert turn_error_deg(cameras, true) < 0.3
+    *_, log_focal = adjust_bundle(wrong, start, free, GRID, iterations=20)
+    assert log_focal.item() == 0
+
+
+def test_a_right_focal_length_stays(rng):
+    true = cameras_on_a_path(3)
+    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
+    *_, log_focal = adjust_bundle(sightings, true[None], torch.ones(1, 3), GRID, focal_is_free=True)
+    assert log_focal.abs().item() < 1e-3

@@ -87,7 +87,11 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone, dis
     # The photos show nothing: the matches stay where the descriptors put them.
     views = PhotoViews(torch.zeros(1, 2, 3, 32, 32), walls, intrinsics)
     solved = solve_views(
-        matches, views, depth_is_free=torch.full((1, 2), free), noise=BundleNoise()
+        matches,
+        views,
+        depth_is_free=torch.full((1, 2), free),
+        focal_is_free=False,
+        noise=BundleNoise(),
     )
     expected = torch.eye(4)
     expected[0, 3] = -4 / 32 * distance

@@ -135,9 +135,9 @@ def test_what_the_refinement_looks_at_is_not_differentiated(rng):
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
     intrinsics, matches = backbone.intrinsics(views, raw), backbone.find_matches(raw)
-    refined = backbone.refine(raw, views.images, intrinsics, matches)
+    refined = backbone.refine(raw, views.images, intrinsics, matches, focal_is_free=True)
     backbone.refinement = None
-    coarse = backbone.refine(raw, views.images, intrinsics, matches)
+    coarse = backbone.refine(raw, views.images, intrinsics, matches, focal_is_free=True)
     assert not torch.equal(refined.log_depths, coarse.log_depths)
     (slope,) = torch.autograd.grad(refined.log_depths.sum(), raw.log_depths)
     assert torch.equal(slope, torch.ones_like(slope))
@@ -157,7 +157,9 @@ def test_without_a_network_depth_still_moves_with_the_cameras(rng):
         backbone.log_sharpness.fill_(4.0)
     matches = backbone.find_matches(raw)
     assert matches.tree[0].of_a.trust.min() > 0.6
-    refined = backbone.refine(raw, views.images, backbone.intrinsics(views, raw), matches)
+    refined = backbone.refine(
+        raw, views.images, backbone.intrinsics(views, raw), matches, focal_is_free=True
+    )
     moved = refined.log_depths - raw.log_depths
     # Two views with one and the same picture: their depths come together.
     before = (raw.log_depths[0, 0] - raw.log_depths[0, 1]).abs().mean()

@@ -62,6 +62,9 @@ class BundleNoise:
     """Of log depth, of what is finer than the grid."""
     mutual_depth: float = 0.08
     """Of the difference of two views' log depths of one point."""
+    focal: float = 0.01
+    """Of the logarithm of a focal length that is not known; where it is more, the error counts
+    less and less (Cauchy), as a guess is mostly right or quite wrong."""
     outlier: float = 2.0
     """Standard deviations at which an error has lost half its weight."""
 
@@ -95,9 +98,15 @@ def adjust_bundle(
     grid: tuple[int, int],
     *,
     noise: BundleNoise = BundleNoise(),
+    focal_is_free: bool = False,
+    log_focal: Float[Tensor, " batch"] | None = None,
     iterations: int = 6,
-) -> tuple[Float[Tensor, "batch view 4 4"], Float[Tensor, "batch view node"]]:
-    """Better cameras, and the change of log depth at each node of each view; not differentiable.
+) -> tuple[
+    Float[Tensor, "batch view 4 4"], Float[Tensor, "batch view node"], Float[Tensor, " batch"]
+]:
+    """Better cameras, the change of log depth at each node of each view, and the log focal length.
+
+    Not differentiable.
 
     Gauss-Newton on the robust (Cauchy) errors of the projections, of the depths of one point in
     two views, and of the prior of the depth. Along the line on which a point moves with its
@@ -110,13 +119,17 @@ def adjust_bundle(
         depth_is_free: 1 where the depth of a view may change, 0 where it is known.
         grid: Rows and columns of nodes.
         noise: What to expect.
+        focal_is_free: Whether the focal length of a scene, one for all its views, is a guess.
+        log_focal: Logarithm of the focal length over that of the sightings, where to start; none
+            is 0, and stays 0 where it is known.
         iterations: Of Gauss-Newton.
     """
     batch, count = cam_from_first.shape[:2]
     nodes = grid[0] * grid[1]
     cameras, changes = cam_from_first, cam_from_first.new_zeros(batch, count, nodes)
+    longer = cam_from_first.new_zeros(batch) if log_focal is None else log_focal
     if count < 2 or not len(sightings.scenes):
-        return cameras, changes
+        return cameras, changes, longer
     here = node_weights(sightings.places_here, grid)
     there = node_weights(sightings.places_there, grid)
     trust = _agreed_trust(sightings, cameras)
@@ -125,14 +138,18 @@ def adjust_bundle(
     # A depth that is known is one whose prior is a thousand times as narrow.
     stiffness = torch.where(depth_is_free > 0, 1.0, 1e6)[..., None, None] * prior
     for _ in range(iterations):
-        hessian, gradient = _normal_equations(sightings, cameras, changes, here, there, noise)
+        equations = _normal_equations(sightings, cameras, changes, longer, here, there, noise)
         views = torch.arange(count, device=changes.device)
-        hessian[:, views, views, 6:, 6:] += stiffness
-        gradient[..., 6:] += (stiffness @ changes[..., None])[..., 0]
-        step = _solve(hessian, gradient)
+        equations.hessian[:, views, views, 6:, 6:] += stiffness
+        equations.gradient[..., 6:] += (stiffness @ changes[..., None])[..., 0]
+        narrow = 1 / (noise.focal**2 + longer.square())
+        equations.focal_hessian.add_(narrow)
+        equations.focal_gradient.add_(narrow * longer)
+        step, focal_step = _solve(equations, focal_is_free=focal_is_free)
         cameras = rigid_from_twist(step[..., :6]) @ cameras
         changes = (changes + step[..., 6:]).clamp(-0.7, 0.7)
-    return cameras, changes
+        longer = (longer + focal_step.clamp(-0.1, 0.1)).clamp(-0.5, 0.5)
+    return cameras, changes, longer
 
 
 def _agreed_trust(
@@ -164,21 +181,36 @@ def _prior_precision(grid: tuple[int, int], noise: BundleNoise) -> Float[Tensor,
     return torch.linalg.inv(covariance)
 
 
+@dataclass(frozen=True)
+class _Equations:
+    """Hessian and gradient over (twist, nodes) of all views, and over the log focal length."""
+
+    hessian: Float[Tensor, "batch view view part part"]
+    gradient: Float[Tensor, "batch view part"]
+    focal_hessian: Float[Tensor, " batch"]
+    focal_gradient: Float[Tensor, " batch"]
+    focal_cross: Float[Tensor, "batch view part"]
+    """Between the focal length and the others."""
+
+
 def _normal_equations(
     sightings: Sightings,
     cameras: Float[Tensor, "batch view 4 4"],
     changes: Float[Tensor, "batch view node"],
+    log_focal: Float[Tensor, " batch"],
     hats_here: Float[Tensor, "sighting point node"],
     hats_there: Float[Tensor, "sighting point node"],
     noise: BundleNoise,
-) -> tuple[Float[Tensor, "batch view view part part"], Float[Tensor, "batch view part"]]:
-    """Hessian and gradient over (twist, nodes) of all views."""
+) -> _Equations:
     scenes, here, there = sightings.scenes, sightings.here, sightings.there
     there_from_here = cameras[scenes, there] @ invert_rigid(cameras[scenes, here])
     deeper_here = (hats_here @ changes[scenes, here, :, None])[..., 0]
     deeper_there = (hats_there @ changes[scenes, there, :, None])[..., 0]
-    errors = _point_errors(sightings, there_from_here, deeper_here, deeper_there, noise)
+    errors = _point_errors(
+        sightings, there_from_here, deeper_here, deeper_there, log_focal[scenes], noise
+    )
     twist, of_here, of_there = errors.by_twist, errors.by_depth_here, errors.by_depth_there
+    of_focal = errors.by_focal
 
     def of_nodes(values: Float[Tensor, "sighting point"], hats: Tensor, other: Tensor) -> Tensor:
         return (hats * values[..., None]).mT @ other
@@ -192,6 +224,10 @@ def _normal_equations(
     twist_gradient = (twist * errors.values[..., None]).sum((1, 2))
     gradient_here = ((of_here * errors.values).sum(-1)[:, None] @ hats_here)[:, 0]
     gradient_there = ((of_there * errors.values).sum(-1)[:, None] @ hats_there)[:, 0]
+
+    twist_focal = (twist * of_focal[..., None]).sum((1, 2))
+    focal_here = ((of_here * of_focal).sum(-1)[:, None] @ hats_here)[:, 0]
+    focal_there = ((of_there * of_focal).sum(-1)[:, None] @ hats_there)[:, 0]
 
     # A small motion of camera here moves what is seen as the opposite motion of camera there,
     # brought over to it.
@@ -212,13 +248,25 @@ def _normal_equations(
     mixed = (carry.mT @ twists, carry.mT @ cross_there, cross_here.mT, nodes_mixed)
     add(here, there, mixed)
     add(there, here, (mixed[0].mT, mixed[2].mT, mixed[1].mT, mixed[3].mT))
-    twist_gradient_here = (carry.mT @ twist_gradient[..., None])[..., 0]
-    for view, parts in (
-        (there, (twist_gradient, gradient_there)),
-        (here, (twist_gradient_here, gradient_here)),
+
+    def carried(of_there: Tensor) -> Tensor:
+        return (carry.mT @ of_there[..., None])[..., 0]
+
+    cross = torch.zeros_like(gradient)
+    for view, parts, focal_parts in (
+        (there, (twist_gradient, gradient_there), (twist_focal, focal_there)),
+        (here, (carried(twist_gradient), gradient_here), (carried(twist_focal), focal_here)),
     ):
         gradient.index_put_((scenes, view), torch.cat(parts, dim=-1), accumulate=True)
-    return hessian, gradient
+        cross.index_put_((scenes, view), torch.cat(focal_parts, dim=-1), accumulate=True)
+    nothing = gradient.new_zeros(len(cameras))
+    return _Equations(
+        hessian,
+        gradient,
+        nothing.index_add(0, scenes, of_focal.square().sum((1, 2))),
+        nothing.index_add(0, scenes, (of_focal * errors.values).sum((1, 2))),
+        cross,
+    )
 
 
 @dataclass(frozen=True)
@@ -235,6 +283,8 @@ class _PointErrors:
     """By the log depth of the point."""
     by_depth_there: Float[Tensor, "sighting point 3"]
     """By the log depth of its match."""
+    by_focal: Float[Tensor, "sighting point 3"]
+    """By the log focal length of both cameras."""
 
 
 def _point_errors(
@@ -242,9 +292,14 @@ def _point_errors(
     there_from_here: Float[Tensor, "sighting 4 4"],
     deeper_here: Float[Tensor, "sighting point"],
     deeper_there: Float[Tensor, "sighting point"],
+    log_focal: Float[Tensor, " sighting"],
     noise: BundleNoise,
 ) -> _PointErrors:
-    points = sightings.points * deeper_here.exp()[..., None]
+    # A longer focal length brings the points nearer to the axis. Where they are seen is compared
+    # in the rays of the sightings, which are pixels: in true x/z any error would shrink with it.
+    longer = log_focal.exp()[:, None, None]
+    points = torch.cat([sightings.points[..., :2] / longer, sightings.points[..., 2:]], dim=-1)
+    points = points * deeper_here.exp()[..., None]
     turned = points @ there_from_here[:, :3, :3].mT
     seen = turned + there_from_here[:, None, :3, 3]
     front = seen[..., 2] > NEAREST
@@ -253,16 +308,20 @@ def _point_errors(
     zero = torch.zeros_like(u)
     by_twist = torch.stack(
         [
-            torch.stack([w, zero, -u * w, -u * v, 1 + u * u, -v], dim=-1),
-            torch.stack([zero, w, -v * w, -1 - v * v, u * v, u], dim=-1),
+            longer * torch.stack([w, zero, -u * w, -u * v, 1 + u * u, -v], dim=-1),
+            longer * torch.stack([zero, w, -v * w, -1 - v * v, u * v, u], dim=-1),
             torch.stack([zero, zero, w, v, -u, zero], dim=-1),
         ],
         dim=-2,
     )
-    slope = (turned[..., :2] - torch.stack([u, v], dim=-1) * turned[..., 2:]) * w[..., None]
+    placed = torch.stack([u, v], dim=-1)
+    slope = longer * (turned[..., :2] - placed * turned[..., 2:]) * w[..., None]
     by_depth_here = torch.cat([slope, turned[..., 2:] * w[..., None]], dim=-1)
+    inward = -points[..., :2] @ there_from_here[:, :3, :2].mT
+    by_focal = longer * (placed + (inward[..., :2] - placed * inward[..., 2:]) * w[..., None])
+    by_focal = torch.cat([by_focal, inward[..., 2:] * w[..., None]], dim=-1)
     mutual = (z / sightings.depths.clamp_min(NEAREST)).log() - deeper_there
-    values = torch.cat([torch.stack([u, v], dim=-1) - sightings.rays, mutual[..., None]], dim=-1)
+    values = torch.cat([longer * placed - sightings.rays, mutual[..., None]], dim=-1)
     # Ray errors have the covariance precision^-1 + fine_depth^2 slope slope^T. Its inverse, by
     # Sherman and Morrison, is root root^T with a lower triangle as root.
     pull = (sightings.precision @ slope[..., None])[..., 0]
@@ -291,6 +350,7 @@ def _point_errors(
         scaled(by_twist) * weight[..., None],
         scaled(by_depth_here[..., None])[..., 0] * weight,
         nothing * weight,
+        scaled(by_focal[..., None])[..., 0] * weight,
     )
 
 
@@ -303,10 +363,10 @@ def _adjoint(transform: Float[Tensor, "sighting 4 4"]) -> Float[Tensor, "sightin
 
 
 def _solve(
-    hessian: Float[Tensor, "batch view view part part"],
-    gradient: Float[Tensor, "batch view part"],
-) -> Float[Tensor, "batch view part"]:
-    """The Gauss-Newton step; the first camera has none."""
+    equations: _Equations, *, focal_is_free: bool
+) -> tuple[Float[Tensor, "batch view part"], Float[Tensor, " batch"]]:
+    """The Gauss-Newton step, and that of the log focal length; the first camera has none."""
+    hessian, gradient = equations.hessian, equations.gradient
     batch, count, _, size, _ = hessian.shape
     whole = hessian.permute(0, 1, 3, 2, 4).reshape(batch, count * size, count * size).double()
     number = torch.arange(count * size, device=hessian.device)
@@ -315,10 +375,16 @@ def _solve(
     damping = 1e-4 * diagonal[:, is_twist].mean(-1, keepdim=True).clamp_min(1e-6) * is_twist
     free = number >= 6
     whole = (whole + torch.diag_embed(damping))[:, free][:, :, free]
+    # The focal length is the last unknown; where it is known, nothing depends on it.
+    cross = equations.focal_cross.flatten(1).double()[:, free, None] * focal_is_free
+    own = equations.focal_hessian.double()[:, None, None]
+    whole = torch.cat([torch.cat([whole, cross], 2), torch.cat([cross.mT, own], 2)], dim=1)
     right = gradient.flatten(1).double()[:, free, None]
+    slope = equations.focal_gradient.double()[:, None, None] * focal_is_free
+    found = -torch.cholesky_solve(torch.cat([right, slope], 1), torch.linalg.cholesky(whole))
     step = gradient.new_zeros(batch, count * size)
-    step[:, free] = -torch.cholesky_solve(right, torch.linalg.cholesky(whole))[..., 0].to(step)
+    step[:, free] = found[:, :-1, 0].to(step)
     step = step.view(batch, count, size)
     # A step of more than 30 degrees or half a unit is a sign of too few matches: shorten it.
     longest = step[..., :6].norm(dim=-1).amax(dim=1).clamp_min(1e-9)
-    return step * (0.5 / longest).clamp_max(1.0)[:, None, None]
+    return step * (0.5 / longest).clamp_max(1.0)[:, None, None], found[:, -1, 0].to(step)

@@ -28,11 +28,12 @@ from instok3d.model.backbone.nano_refinement import DepthRefinement, gather_evid
 from instok3d.model.backbone.pair_cameras import (
     PairMatches,
     PhotoViews,
-    SolvedViews,
     ViewMatches,
     align_pairs,
     improve_views,
+    scale_focal,
     solve_views,
+    unsolved,
 )
 from instok3d.types import Geometry, Views
 
@@ -83,6 +84,8 @@ class RefinedDepth:
     log_confidences: Float[Tensor, "batch view height width"]
     cam_from_first: Float[Tensor, "batch view 4 4"]
     """Solved before the refinement, in its units; not differentiable."""
+    intrinsics: Float[Tensor, "batch view 3 3"]
+    """With the focal length that was solved for, where it was a guess."""
 
 
 class NanoBackbone(GeometryBackbone):
@@ -191,10 +194,12 @@ class NanoBackbone(GeometryBackbone):
             intrinsics = self.intrinsics(views, raw)
             solved_for = not (known.all() and keep_cameras)
             matches = self.find_matches(raw) if solved_for else ViewMatches([], [])
-        refined = None
+        refined, focal_is_free = None, views.intrinsics is None
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         if not known.all():
-            refined = self.refine(raw, views.images, intrinsics, matches)
+            refined = self.refine(
+                raw, views.images, intrinsics, matches, focal_is_free=focal_is_free
+            )
             log_depths, log_confidences = refined.log_depths, refined.log_confidences
         with torch.autocast(views.images.device.type, enabled=False):
             depths = log_depths.exp()
@@ -206,12 +211,24 @@ class NanoBackbone(GeometryBackbone):
                 free = (~known).all(-1).all(-1).float()
                 posed = PhotoViews(views.images.float(), depths, intrinsics)
                 if refined is None or known.any():
-                    solved = solve_views(matches, posed, depth_is_free=free, noise=AFTER_REFINEMENT)
-                else:
-                    start = SolvedViews(refined.cam_from_first, torch.zeros_like(depths))
-                    solved = improve_views(
-                        matches, posed, start, depth_is_free=free, noise=AFTER_REFINEMENT
+                    solved = solve_views(
+                        matches,
+                        posed,
+                        depth_is_free=free,
+                        focal_is_free=focal_is_free,
+                        noise=AFTER_REFINEMENT,
                     )
+                else:
+                    posed = replace(posed, intrinsics=refined.intrinsics)
+                    solved = improve_views(
+                        matches,
+                        posed,
+                        unsolved(posed, refined.cam_from_first),
+                        depth_is_free=free,
+                        focal_is_free=False,
+                        noise=AFTER_REFINEMENT,
+                    )
+                intrinsics = scale_focal(posed.intrinsics, solved.log_focal)
                 cam_from_world = solved.cam_from_first
             # Confidences are from 1 upwards, as the heads of the published models give them.
             confidences = 1 + log_confidences.exp()
@@ -232,6 +249,8 @@ class NanoBackbone(GeometryBackbone):
         images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
         matches: ViewMatches,
+        *,
+        focal_is_free: bool,
     ) -> RefinedDepth:
         """Depth moved to where the matches put it: coarsely with the cameras, then by the network.
 
@@ -242,11 +261,13 @@ class NanoBackbone(GeometryBackbone):
         with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
             views = PhotoViews(images.float(), log_depths.exp(), intrinsics)
             free = torch.ones_like(views.depths[..., 0, 0])
-            solved = solve_views(matches, views, depth_is_free=free, noise=AT_FIRST)
+            solved = solve_views(
+                matches, views, depth_is_free=free, focal_is_free=focal_is_free, noise=AT_FIRST
+            )
+            views = views.moved(solved)
         log_depths = log_depths + solved.deeper
         if self.refinement is not None:
             with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
-                views = replace(views, depths=log_depths.exp())
                 aligned = align_pairs(matches.pairs, views, solved.cam_from_first)
                 evidence = gather_evidence(aligned, views, solved.cam_from_first)
             deeper, surer = self.refinement(
@@ -258,7 +279,10 @@ class NanoBackbone(GeometryBackbone):
             )
             log_depths, log_confidences = log_depths + deeper, log_confidences + surer
         return RefinedDepth(
-            log_depths.clamp(-4, 4), log_confidences.clamp(-4, 6), solved.cam_from_first
+            log_depths.clamp(-4, 4),
+            log_confidences.clamp(-4, 6),
+            solved.cam_from_first,
+            views.intrinsics,
         )
 
     def intrinsics(self, views: Views, raw: RawGeometry) -> Float[Tensor, "batch view 3 3"]:

@@ -59,6 +59,8 @@ class SolvedViews:
 
     cam_from_first: Float[Tensor, "batch view 4 4"]
     """In units of the depths."""
+    log_focal: Float[Tensor, " batch"]
+    """Logarithm of the focal length, one for all views, over what it was taken for."""
     deeper: Float[Tensor, "batch view height width"]
     """To be added to log depth."""
 
@@ -80,6 +82,14 @@ class PhotoViews:
         scenes = torch.arange(len(views), device=views.device)
         parts = (self.images, self.depths, self.intrinsics, cam_from_first)
         return PhotoGeometry(*(part[scenes, views] for part in parts))
+
+    def moved(self, solved: SolvedViews) -> "PhotoViews":
+        """With the depths and the focal length that were solved for."""
+        return replace(
+            self,
+            depths=self.depths * solved.deeper.exp(),
+            intrinsics=scale_focal(self.intrinsics, solved.log_focal),
+        )
 
 
 @dataclass(frozen=True)
@@ -122,6 +132,7 @@ def solve_views(
     views: PhotoViews,
     *,
     depth_is_free: Float[Tensor, "batch view"],
+    focal_is_free: bool,
     noise: BundleNoise,
 ) -> SolvedViews:
     """The cameras under which all matches fit best, and depth moved with them.
@@ -134,17 +145,32 @@ def solve_views(
         matches: Of all views.
         views: The cameras come out in units of their depths.
         depth_is_free: 1 for views whose depth may change, 0 where it is known.
+        focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
         noise: What to expect of the depths.
     """
     ways = [matched_points(pair, views) for pair in matches.pairs]
     chained = _chain(matches.tree, ways, batch=len(views.depths)).to(views.depths)
-    solved = SolvedViews(chained, torch.zeros_like(views.depths))
+    solved = unsolved(views, chained)
     if not ways:
         return solved
-    solved = _adjust(_thinned(matches.pairs, views), views, chained, depth_is_free, noise)
+    pairs = _thinned(matches.pairs, views)
+    solved = _adjust(pairs, views, solved, depth_is_free, focal_is_free, noise)
     for _ in range(ALIGNMENT_ROUNDS):
-        solved = improve_views(matches, views, solved, depth_is_free=depth_is_free, noise=noise)
+        solved = improve_views(
+            matches,
+            views,
+            solved,
+            depth_is_free=depth_is_free,
+            focal_is_free=focal_is_free,
+            noise=noise,
+        )
     return solved
+
+
+def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]) -> SolvedViews:
+    """Some cameras, with depths and focal length as they are."""
+    nothing = torch.zeros_like(views.depths)
+    return SolvedViews(cam_from_first, nothing[:, 0, 0, 0], nothing)
 
 
 @torch.no_grad()
@@ -154,6 +180,7 @@ def improve_views(
     solved: SolvedViews,
     *,
     depth_is_free: Float[Tensor, "batch view"],
+    focal_is_free: bool,
     noise: BundleNoise,
 ) -> SolvedViews:
     """One round more: the matches aligned by what is solved, and everything solved from them.
@@ -163,14 +190,14 @@ def improve_views(
         views: As in `solve_views`.
         solved: Where to begin.
         depth_is_free: As in `solve_views`.
+        focal_is_free: As in `solve_views`.
         noise: What to expect of the depths of `views`.
     """
     if not matches.pairs:
         return solved
-    moved = replace(views, depths=views.depths * solved.deeper.exp())
-    pairs = align_pairs(_thinned(matches.pairs, views), moved, solved.cam_from_first)
+    pairs = align_pairs(_thinned(matches.pairs, views), views.moved(solved), solved.cam_from_first)
     noise = replace(noise, shared=ALIGNED_SHARED)
-    return _adjust(pairs, views, solved.cam_from_first, depth_is_free, noise)
+    return _adjust(pairs, views, solved, depth_is_free, focal_is_free, noise)
 
 
 def align_pairs(
@@ -190,18 +217,27 @@ def align_pairs(
 def _adjust(
     pairs: list[PairMatches],
     views: PhotoViews,
-    cameras: Float[Tensor, "batch view 4 4"],
+    solved: SolvedViews,
     depth_is_free: Float[Tensor, "batch view"],
+    focal_is_free: bool,
     noise: BundleNoise,
 ) -> SolvedViews:
     height, width = views.depths.shape[-2:]
     grid = coarse_grid(height, width)
     sightings = _sightings(pairs, views)
-    cam_from_first, changes = adjust_bundle(sightings, cameras, depth_is_free, grid, noise=noise)
+    cam_from_first, changes, log_focal = adjust_bundle(
+        sightings,
+        solved.cam_from_first,
+        depth_is_free,
+        grid,
+        noise=noise,
+        focal_is_free=focal_is_free,
+        log_focal=solved.log_focal,
+    )
     deeper = functional.interpolate(
         changes.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
     )
-    return SolvedViews(cam_from_first, deeper)
+    return SolvedViews(cam_from_first, log_focal, deeper)
 
 
 def _points_at(
@@ -212,6 +248,15 @@ def _points_at(
     """Points of the surface at places of an image, in the camera's frame."""
     rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1) @ intrinsics.inverse().mT
     return rays * sample_depth(depths, pixels)[..., None]
+
+
+def scale_focal(
+    intrinsics: Float[Tensor, "batch view 3 3"], log_focal: Float[Tensor, " batch"]
+) -> Float[Tensor, "batch view 3 3"]:
+    """Intrinsics with focal lengths that are exp(log_focal) times as long."""
+    scale = torch.ones_like(intrinsics)
+    scale[..., 0, 0] = scale[..., 1, 1] = log_focal.exp()[:, None]
+    return intrinsics * scale
 
 
 def _thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
