@@ -119,7 +119,7 @@ def test_too_many_views_are_refused_with_the_count_that_fits(monkeypatch: pytest
     with pytest.raises(NotEnoughMemoryError) as caught:
         check_memory(*NANO, replace(EIGHT, views=100), advice="take fewer")
     text = str(caught.value)
-    assert text.startswith("100 views of 128 x 128 pixels are predicted to need 1.")
+    assert text.startswith("100 views of 128 x 128 pixels are predicted to need 2.")
     fitting = int(text.split("; ")[1].split(" views would fit: take fewer")[0])
     assert fitting >= 10
     check_memory(*NANO, replace(EIGHT, views=fitting))
