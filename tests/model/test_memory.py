@@ -37,7 +37,7 @@ def test_parameters_are_counted_without_being_made():
 @pytest.mark.parametrize(
     ("views", "measured"),
     # Largest resident size of `instok3d reconstruct` on that many photos, one thread, bytes.
-    [(1, 357e6), (2, 376e6), (8, 449e6), (16, 568e6)],
+    [(1, 357e6), (2, 382e6), (8, 460e6), (16, 542e6)],
 )
 def test_the_prediction_is_never_below_what_was_measured_and_at_most_a_quarter_above(
     views: int, measured: float
