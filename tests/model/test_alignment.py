@@ -110,7 +110,8 @@ def test_noise_loosens_the_matches_by_itself(rng):
     spread_clean, spread_noisy = (
         inner(each.precision.inverse())[..., 0, 0] - NEAREST_ERROR_PX**2 for each in (clean, noisy)
     )
-    assert (spread_noisy / spread_clean).median() > 3
+    # Slopes of the noise itself count as something to be seen, so not by all that it should.
+    assert (spread_noisy / spread_clean).median() > 1.5
     error = inner(noisy.pixels - peaks().pixels).norm(dim=-1)
     assert 0.1 < error.median() < 1.0
 
