@@ -121,21 +121,23 @@ def _warp_patches(
     )
 
 
+# The three below run so often that checking their types takes longer than small photos do.
+
+
 def _photo_equations(
-    pixels: Float[Tensor, "batch cell 2"],
-    offsets: Float[Tensor, "batch cell pixel 2"],
-    patch: Float[Tensor, "batch 3 cell pixel"],
-    layers: Float[Tensor, "batch 9 height width"],
-    window: Float[Tensor, " pixel"],
-) -> tuple[Float[Tensor, "batch cell 2 2"], Float[Tensor, "batch cell 2"]]:
+    pixels: Tensor, offsets: Tensor, patch: Tensor, layers: Tensor, window: Tensor
+) -> tuple[Tensor, Tensor]:
     """Normal equations of the colour differences over the place, in units of their noise.
 
     Args:
-        pixels: Places so far.
-        offsets: Of the patch's pixels about them.
-        patch: Colours to be found.
-        layers: Colours of the other photo, their slopes along x and along y.
+        pixels: Places so far, [batch cell 2].
+        offsets: Of the patch's pixels about them, [batch cell pixel 2].
+        patch: Colours to be found, [batch 3 cell pixel].
+        layers: Colours of the other photo, their slopes along x and along y, [batch 9 row column].
         window: Weights of the patch's pixels.
+
+    Returns:
+        Hessian [batch cell 2 2] and gradient [batch cell 2].
     """
     found = _sample(layers, pixels[:, :, None] + offsets)
     weights = window / window.sum()
@@ -155,6 +157,21 @@ def _photo_equations(
     return hessian.unflatten(-1, (2, 2)), gradient
 
 
+def _sample(images: Tensor, pixels: Tensor) -> Tensor:
+    """Values [batch channel a b] at places [batch a b 2], bilinear; outside those of the edge."""
+    size = torch.tensor([images.shape[-1], images.shape[-2]]).to(images)
+    return functional.grid_sample(
+        images, pixels / size * 2 - 1, padding_mode="border", align_corners=False
+    )
+
+
+def _inverse(matrices: Tensor) -> Tensor:
+    """Of symmetric positive definite 2 x 2, written out: many small ones are slow otherwise."""
+    a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
+    adjugate = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2))
+    return adjugate / (a * d - b * b)[..., None, None]
+
+
 def sample_depth(
     depths: Float[Tensor, "batch height width"], pixels: Float[Tensor, "batch point 2"]
 ) -> Float[Tensor, "batch point"]:
@@ -163,27 +180,9 @@ def sample_depth(
     return _sample(coarse, pixels[:, :, None] / MATCH_STRIDE)[:, 0, :, 0].exp()
 
 
-def _sample(
-    images: Float[Tensor, "batch channel height width"],
-    pixels: Float[Tensor, "batch row column 2"],
-) -> Float[Tensor, "batch channel row column"]:
-    """Values between pixels, bilinear; outside the image those of its edge."""
-    size = torch.tensor([images.shape[-1], images.shape[-2]]).to(images)
-    return functional.grid_sample(
-        images, pixels / size * 2 - 1, padding_mode="border", align_corners=False
-    )
-
-
 def _slopes(images: Float[Tensor, "batch 3 height width"]) -> tuple[Tensor, Tensor]:
     """Change of colour from pixel to pixel along x and along y."""
     padded = functional.pad(images, (1, 1, 1, 1), mode="replicate")
     along_x = 0.5 * (padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2])
     along_y = 0.5 * (padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1])
     return along_x, along_y
-
-
-def _inverse(matrices: Float[Tensor, "*batch 2 2"]) -> Float[Tensor, "*batch 2 2"]:
-    """Of symmetric positive definite matrices, written out: many small ones are slow otherwise."""
-    a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
-    adjugate = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2))
-    return adjugate / (a * d - b * b)[..., None, None]
