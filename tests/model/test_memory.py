@@ -20,7 +20,8 @@ from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
 from plane_backbone import PlaneConfig
 
 NANO = (NanoConfig(refinement_layers=0), TokenizerConfig())
-"""What the sizes below were measured with."""
+"""What the sizes of training below were measured with."""
+SHIPPED = (NanoConfig(), TokenizerConfig())
 EIGHT = Work(views=8, height=128, width=128)
 
 
@@ -36,13 +37,15 @@ def test_parameters_are_counted_without_being_made():
 
 @pytest.mark.parametrize(
     ("views", "measured"),
-    # Largest resident size of `instok3d reconstruct` on that many photos, one thread, bytes.
-    [(1, 357e6), (2, 382e6), (8, 460e6), (16, 542e6)],
+    # Largest resident size of `instok3d reconstruct` on that many photos, one thread, bytes; the
+    # larger of two runs, which were up to 5 % apart.
+    [(1, 367e6), (2, 382e6), (8, 478e6), (16, 569e6)],
 )
 def test_the_prediction_is_never_below_what_was_measured_and_at_most_a_quarter_above(
     views: int, measured: float
 ):
-    assert measured <= bytes_for(views=views) <= 1.25 * measured
+    predicted = predict_peak_bytes(*SHIPPED, replace(EIGHT, views=views))
+    assert measured <= predicted <= 1.25 * measured
 
 
 @pytest.mark.parametrize(

@@ -232,8 +232,9 @@ class NanoBackbone(GeometryBackbone):
                 cam_from_world = solved.cam_from_first
             # Confidences are from 1 upwards, as the heads of the published models give them.
             confidences = 1 + log_confidences.exp()
-            change = agree_on_depths(depths, confidences, cam_from_world, intrinsics)
-            depths = torch.where(known, depths, depths * change.exp())
+            if not known.all():
+                change = agree_on_depths(depths, confidences, cam_from_world, intrinsics)
+                depths = torch.where(known, depths, depths * change.exp())
         prediction = Prediction(
             features=raw.features,
             depths=depths,

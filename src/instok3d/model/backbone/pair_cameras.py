@@ -55,7 +55,7 @@ class ViewMatches:
 
 @dataclass(frozen=True)
 class SolvedViews:
-    """Cameras of all views and the coarse change of their depths."""
+    """Cameras of all views, their focal length and the coarse change of their depths."""
 
     cam_from_first: Float[Tensor, "batch view 4 4"]
     """In units of the depths."""
@@ -148,10 +148,10 @@ def solve_views(
         focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
         noise: What to expect of the depths.
     """
-    ways = [matched_points(pair, views) for pair in matches.pairs]
+    ways = [matched_points(pair, views) for pair in matches.tree]
     chained = _chain(matches.tree, ways, batch=len(views.depths)).to(views.depths)
     solved = unsolved(views, chained)
-    if not ways:
+    if not matches.pairs:
         return solved
     pairs = _thinned(matches.pairs, views)
     solved = _adjust(pairs, views, solved, depth_is_free, focal_is_free, noise)
@@ -276,7 +276,7 @@ def _chain(
     """cam_from_first of every view: each pair of the tree solved alone, composed along it."""
     b_from_a = [
         register_pair(a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust)
-        for a, b in ways[: len(tree)]
+        for a, b in ways
     ]
     scenes = []
     for scene in range(batch):
