@@ -12,8 +12,11 @@ from instok3d.model.backbone.alignment import (
     PhotoGeometry,
     align_matches,
     sample_depth,
+    search_native,
+    search_reference,
 )
 from instok3d.model.backbone.matching import MATCH_STRIDE, Matches, cell_centers
+from instok3d.render import native_status
 
 SIZE = 64
 INTRINSICS = torch.tensor([[[60.0, 0, 32], [0, 60.0, 32], [0, 0, 1]]])
@@ -145,6 +148,79 @@ def test_behind_the_camera_and_far_outside_all_stays_finite():
         assert found.pixels.isfinite().all()
         assert found.precision.isfinite().all()
         assert (torch.linalg.eigvalsh(found.precision) > 0).all()
+
+
+needs_kernels = pytest.mark.skipif(
+    not native_status().available, reason=f"native kernels: {native_status().reason}"
+)
+
+
+def noisy_pair(rng: torch.Generator) -> tuple[Matches, PhotoGeometry, PhotoGeometry]:
+    """Two scenes of two unlike rough photos each, of unlike sizes, and cells all over them."""
+    turned = torch.eye(4).repeat(2, 1, 1)
+    turned[:, :3, :3] = torch.linalg.matrix_exp(
+        torch.tensor([[0.0, -0.1, 0.05], [0.1, 0, 0.02], [-0.05, -0.02, 0]])
+    )
+    turned[1, 2, 3] = -2.05  # part of the second wall lies behind the camera
+    rough = functional.interpolate(torch.rand(4, 3, 16, 16, generator=rng), size=(64, 96))
+    here, there = rough[:2, :, :48, :64].contiguous(), rough[2:]
+    depths = 1.8 + 0.4 * torch.rand(2, 48, 64, generator=rng)
+    intrinsics = INTRINSICS.repeat(2, 1, 1)
+    centers = cell_centers(12, 16, like=torch.zeros(1))
+    pixels = centers + 3 * torch.randn(2, len(centers), 2, generator=rng)
+    precision = torch.eye(2).expand(2, len(centers), 2, 2)
+    return (
+        Matches(centers, pixels, precision, torch.ones(2, len(centers))),
+        PhotoGeometry(here, depths, intrinsics, torch.eye(4).repeat(2, 1, 1)),
+        PhotoGeometry(there, torch.full((2, 64, 96), 2.0), intrinsics, turned),
+    )
+
+
+@needs_kernels
+def test_the_kernels_find_what_the_reference_finds(rng):
+    matches, here, there = noisy_pair(rng)
+    fast, exact = search_native(matches, here, there), search_reference(matches, here, there)
+    off = (fast.pixels - exact.pixels).norm(dim=-1).flatten()
+    assert (exact.pixels - matches.pixels).norm(dim=-1).median() > 0.5
+    # Where two places fit equally well, rounding may choose.
+    assert off.median() < 1e-4
+    assert off.quantile(0.99) < 1e-2
+    same = (off < 1e-3).view(2, -1)
+    torch.testing.assert_close(fast.precision[same], exact.precision[same], rtol=0.02, atol=1e-3)
+
+
+@needs_kernels
+def test_the_kernels_give_the_same_bytes_on_any_number_of_threads(rng):
+    found, before = [], torch.get_num_threads()
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.append(search_native(*noisy_pair(rng.manual_seed(5))))
+    torch.set_num_threads(before)
+    for other in found[1:]:
+        assert torch.equal(other.pixels, found[0].pixels)
+        assert torch.equal(other.precision, found[0].precision)
+
+
+@needs_kernels
+def test_the_kernels_survive_places_that_are_no_numbers(rng):
+    matches, here, there = noisy_pair(rng)
+    broken = torch.full_like(there.cam_from_first, float("nan"))
+    found = search_native(matches, here, replace(there, cam_from_first=broken))
+    # Neither in front nor behind: the peak is believed.
+    assert found.pixels.isfinite().all()
+    far = replace(matches, pixels=torch.full_like(matches.pixels, float("nan")))
+    assert search_native(far, here, there).pixels.shape == matches.pixels.shape
+
+
+def test_double_precision_goes_to_the_reference(rng):
+    matches, here, there = noisy_pair(rng)
+    matches, here, there = (
+        replace(each, **{name: value.double() for name, value in vars(each).items()})
+        for each in (matches, here, there)
+    )
+    found, exact = align_matches(matches, here, there), search_reference(matches, here, there)
+    assert found.pixels.dtype == torch.float64
+    assert torch.equal(found.pixels, exact.pixels)
 
 
 def test_no_cells_are_no_matches():

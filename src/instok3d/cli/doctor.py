@@ -139,7 +139,7 @@ def _kernels() -> Finding:
         return Finding("native kernels", f"{best}{also}; threads by {status.threading}", True)
     return Finding(
         "native kernels",
-        f"missing, so that rendering takes some hundred times longer: {status.reason}; install "
-        "a C++ compiler and reinstall instok3d",
+        "missing, so that rendering takes some hundred times longer, and solving for cameras "
+        f"longer too: {status.reason}; install a C++ compiler and reinstall instok3d",
         False,
     )

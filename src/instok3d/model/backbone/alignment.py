@@ -17,6 +17,13 @@ from instok3d.geometry.bundle import TRUST_MIN
 from instok3d.geometry.cameras import invert_rigid, pixel_centers, transform_points
 from instok3d.model.backbone.matching import MATCH_STRIDE, Matches
 
+try:  # after torch, so that both use torch's OpenMP and its pool of threads
+    from instok3d.model.backbone.native import (
+        _alignment,  # pyright: ignore[reportAttributeAccessIssue]
+    )
+except ImportError:
+    _alignment = None
+
 PATCH = 8
 """Pixels across the patch that is compared; even, as the middle of a cell is a corner of four."""
 PATCH_REACH_PX = 4.0
@@ -35,6 +42,8 @@ START_REACH_PX = 6.0
 WARP_MAX_PX = 12.0
 """A patch that would grow over more on a side is compared as it is."""
 ITERATIONS = 6
+NEAREST = 0.05
+"""Depth at which a point counts as behind a camera, in the network's units."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,12 @@ def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
         there: Where they are looked for.
     """
     trusted = (matches.trust > TRUST_MIN).any(0).nonzero()[:, 0]
-    found = _search(matches.at(trusted), here, there)
+    plain = all(
+        values.dtype == torch.float32 and values.device.type == "cpu"
+        for values in (here.images, there.images, matches.pixels)
+    )
+    search = search_native if _alignment is not None and plain else search_reference
+    found = search(matches.at(trusted), here, there)
     return replace(
         matches,
         pixels=matches.pixels.index_copy(1, trusted, found.pixels),
@@ -71,10 +85,54 @@ def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     )
 
 
-def _search(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
+def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
+    """What `search_reference` does, in C++ for the processor, from float32.
+
+    Uses `torch.get_num_threads()` threads; the result does not depend on how many.
+
+    Raises:
+        RuntimeError: The kernels are not built.
+    """
+    if _alignment is None:
+        raise RuntimeError("the kernels of the alignment were not built with instok3d")
+    there_from_here = there.cam_from_first @ invert_rigid(here.cam_from_first)
+    warps = there.intrinsics @ there_from_here[:, :3, :3] @ here.intrinsics.inverse()
+    shifts = (there.intrinsics @ there_from_here[:, :3, 3:])[..., 0]
+    depths = sample_depth(here.depths, matches.centers.expand(len(here.depths), -1, -1))
+    pixels, precision = torch.empty_like(matches.pixels), torch.empty_like(matches.precision)
+    window = _window(_own_offsets(like=matches.centers)).view(PATCH, PATCH)
+    _alignment.align(
+        *(
+            values.detach().contiguous()
+            for values in (here.images, there.images, matches.centers, depths, matches.pixels,
+                           warps, shifts, window)
+        ),
+        pixels,
+        precision,
+        nearest=NEAREST,
+        largest_warp=WARP_MAX_PX,
+        start_reach=START_REACH_PX,
+        peak_reach=PEAK_REACH_PX,
+        nearest_error=NEAREST_ERROR_PX,
+        color_noise=COLOR_NOISE,
+        shared=SHARED,
+        iterations=ITERATIONS,
+        threads=torch.get_num_threads(),
+    )  # fmt: skip
+    return replace(matches, pixels=pixels, precision=precision)
+
+
+def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
+    """The search of `align_matches`, of all of these matches, on any device and in any precision.
+
+    Args:
+        matches: As in `align_matches`.
+        here: As in `align_matches`.
+        there: As in `align_matches`.
+    """
     start, offsets = _warp_patches(matches, here, there)
     own = _own_offsets(like=start)
-    window = torch.exp(-0.5 * own.square().sum(-1) / PATCH_REACH_PX**2)
+    window = _window(own)
     patch = _sample(here.images, matches.centers[:, None].expand(len(start), -1, 1, 2) + own)
     layers = torch.cat([there.images, *_slopes(there.images)], dim=1)
     held = torch.eye(2).to(start) / PEAK_REACH_PX**2
@@ -94,6 +152,11 @@ def _own_offsets(*, like: Tensor) -> Float[Tensor, "pixel 2"]:
     return pixel_centers(PATCH, PATCH, like=like).flatten(0, 1) - 0.5 * PATCH
 
 
+def _window(offsets: Float[Tensor, "pixel 2"]) -> Float[Tensor, " pixel"]:
+    """Weights of the pixels of a patch."""
+    return torch.exp(-0.5 * offsets.square().sum(-1) / PATCH_REACH_PX**2)
+
+
 def _warp_patches(
     matches: Matches, here: PhotoGeometry, there: PhotoGeometry
 ) -> tuple[Float[Tensor, "batch cell 2"], Float[Tensor, "batch cell pixel 2"]]:
@@ -108,9 +171,9 @@ def _warp_patches(
     depth = depth.repeat_interleave(PATCH**2, dim=1)
     points = rays @ here.intrinsics.inverse().mT * depth[..., None]
     seen = transform_points(there.cam_from_first @ invert_rigid(here.cam_from_first), points)
-    front = (seen[..., 2] > 0.05).unflatten(1, pixels.shape[:2]).all(-1)
+    front = (seen[..., 2] > NEAREST).unflatten(1, pixels.shape[:2]).all(-1)
     seen = seen @ there.intrinsics.mT
-    placed = (seen[..., :2] / seen[..., 2:].clamp_min(0.05)).unflatten(1, pixels.shape[:2])
+    placed = (seen[..., :2] / seen[..., 2:].clamp_min(NEAREST)).unflatten(1, pixels.shape[:2])
     middle = placed.mean(2)
     offsets = placed - middle[:, :, None]
     small = front & (offsets.abs().amax((2, 3)) < WARP_MAX_PX)

@@ -1,0 +1,63 @@
+// The Python module: arrays in and out without copies.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include "alignment.hpp"
+
+namespace nb = nanobind;
+
+namespace instok3d {
+namespace {
+
+template <int AXES>
+using Floats = nb::ndarray<const float, nb::ndim<AXES>, nb::c_contig, nb::device::cpu>;
+template <int AXES>
+using Results = nb::ndarray<float, nb::ndim<AXES>, nb::c_contig, nb::device::cpu>;
+
+void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Floats<2>& centers,
+                  const Floats<2>& depths, const Floats<3>& peaks, const Floats<3>& warps,
+                  const Floats<2>& shifts, const Floats<2>& window, const Results<3>& pixels,
+                  const Results<4>& precision, float nearest, float largest_warp,
+                  float start_reach, float peak_reach, float nearest_error, float color_noise,
+                  float shared, int iterations, int threads) {
+  if (window.shape(0) != PATCH || window.shape(1) != PATCH) {
+    throw nb::value_error("the window of a patch has another size than the kernels'");
+  }
+  AlignmentInputs in;
+  in.scenes = int(photos.shape(0));
+  in.cells = int(centers.shape(0));
+  in.height = int(photos.shape(2));
+  in.width = int(photos.shape(3));
+  in.own_height = int(own_photos.shape(2));
+  in.own_width = int(own_photos.shape(3));
+  in.own_photos = own_photos.data();
+  in.photos = photos.data();
+  in.centers = centers.data();
+  in.depths = depths.data();
+  in.peaks = peaks.data();
+  in.warps = warps.data();
+  in.shifts = shifts.data();
+  in.window = window.data();
+  in.nearest = nearest;
+  in.largest_warp = largest_warp;
+  in.start_reach = start_reach;
+  in.peak_reach = peak_reach;
+  in.nearest_error = nearest_error;
+  in.color_noise = color_noise;
+  in.shared = shared;
+  in.iterations = iterations;
+  const nb::gil_scoped_release release;
+  align(in, {pixels.data(), precision.data()}, threads);
+}
+
+}  // namespace
+}  // namespace instok3d
+
+NB_MODULE(_alignment, m) {
+  m.def("align", &instok3d::align_arrays, nb::arg("own_photos"), nb::arg("photos"),
+        nb::arg("centers"), nb::arg("depths"), nb::arg("peaks"), nb::arg("warps"),
+        nb::arg("shifts"), nb::arg("window"), nb::arg("pixels"), nb::arg("precision"),
+        nb::kw_only(), nb::arg("nearest"), nb::arg("largest_warp"), nb::arg("start_reach"),
+        nb::arg("peak_reach"), nb::arg("nearest_error"), nb::arg("color_noise"),
+        nb::arg("shared"), nb::arg("iterations"), nb::arg("threads"));
+}
