@@ -132,7 +132,7 @@ def adjust_bundle(
         return cameras, changes, longer
     here = node_weights(sightings.places_here, grid)
     there = node_weights(sightings.places_there, grid)
-    trust = _agreed_trust(sightings, cameras)
+    trust = _agreed_trust(sightings, cameras, longer)
     sightings = replace(sightings, trust=trust)
     prior = _prior_precision(grid, noise).to(changes)
     # A depth that is known is one whose prior is a thousand times as narrow.
@@ -153,7 +153,9 @@ def adjust_bundle(
 
 
 def _agreed_trust(
-    sightings: Sightings, cameras: Float[Tensor, "batch view 4 4"]
+    sightings: Sightings,
+    cameras: Float[Tensor, "batch view 4 4"],
+    log_focal: Float[Tensor, " batch"],
 ) -> Float[Tensor, "sighting point"]:
     """Trust in each match, counted from TRUST_MIN on, less where a pair contradicts the start.
 
@@ -163,8 +165,11 @@ def _agreed_trust(
     trust = (sightings.trust - TRUST_MIN).clamp_min(0) / (1 - TRUST_MIN)
     there, here = (cameras[sightings.scenes, view] for view in (sightings.there, sightings.here))
     there_from_here = there @ invert_rigid(here)
-    seen = sightings.points @ there_from_here[:, :3, :3].mT + there_from_here[:, None, :3, 3]
-    error = (seen[..., :2] / seen[..., 2:].clamp_min(NEAREST) - sightings.rays).norm(dim=-1)
+    longer = log_focal[sightings.scenes].exp()[:, None, None]
+    points = torch.cat([sightings.points[..., :2] / longer, sightings.points[..., 2:]], dim=-1)
+    seen = points @ there_from_here[:, :3, :3].mT + there_from_here[:, None, :3, 3]
+    placed = longer * seen[..., :2] / seen[..., 2:].clamp_min(NEAREST)
+    error = (placed - sightings.rays).norm(dim=-1)
     agrees = (error < AGREEMENT) & (seen[..., 2] > NEAREST)
     share = (trust * agrees).sum(-1) / trust.sum(-1).clamp_min(1e-9)
     return trust * ((share - 0.5) / 0.3).clamp(0, 1)[:, None]
