@@ -24,7 +24,9 @@ def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
     """Numbers of the views in each window: `size` neighbours of a path through all views.
 
     Each window begins one view after the one before: groups can be followed from one to the next,
-    and an anchor's assignment is the mean over several windows.
+    and an anchor's assignment is the mean over several windows. All windows come again with their
+    views in the opposite order, seen from their last camera: what is found differs a little, and
+    the mean of both is better (docs/log.md). Views that fit in one window are that window alone.
 
     Args:
         geometry: Of the whole batch; says which views see the same.
@@ -33,12 +35,15 @@ def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
     """
     with torch.autocast(geometry.depths.device.type, enabled=False):
         path = order_along_path(view_overlaps(geometry, scene))
-    return [path[start : start + size] for start in range(count_windows(len(path), size))]
+    if len(path) <= size:
+        return [path]
+    windows = [path[start : start + size] for start in range(len(path) - size + 1)]
+    return windows + [window[::-1] for window in windows]
 
 
 def count_windows(views: int, size: int) -> int:
     """How many windows of `size` there are for so many views."""
-    return max(views - size, 0) + 1
+    return 1 if views <= size else 2 * (views - size + 1)
 
 
 def cut_window(
