@@ -9,11 +9,11 @@ from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.model.windows import (
     collate_scenes,
-    count_windows,
     cut_window,
     join_groups,
     join_windows,
     view_windows,
+    window_lengths,
 )
 from instok3d.types import Geometry, TokenGroups, Views
 from plane_backbone import PlaneBackbone, PlaneConfig
@@ -50,8 +50,9 @@ def windows_of(rng: torch.Generator, views: int, size: int) -> list[list[int]]:
 
 def test_windows_go_along_the_path_one_view_at_a_time_and_come_again_turned_round(rng):
     # The cameras stand 0.7 apart in the order of their numbers.
-    there, back = [[0, 1, 2, 3], [1, 2, 3, 4]], [[3, 2, 1, 0], [4, 3, 2, 1]]
-    assert windows_of(rng, 5, 4) == there + back
+    fours, pairs = [[0, 1, 2, 3], [1, 2, 3, 4]], [[0, 1], [1, 2], [2, 3], [3, 4]]
+    back = [[3, 2, 1, 0], [4, 3, 2, 1], [1, 0], [2, 1], [3, 2], [4, 3]]
+    assert windows_of(rng, 5, 4) == fours + pairs + back
     there, back = [[0, 1], [1, 2], [2, 3]], [[1, 0], [2, 1], [3, 2]]
     assert windows_of(rng, 4, 2) == there + back
     assert windows_of(rng, 4, 4) == [[0, 1, 2, 3]]
@@ -59,8 +60,10 @@ def test_windows_go_along_the_path_one_view_at_a_time_and_come_again_turned_roun
 
 
 @pytest.mark.parametrize("views", [1, 4, 5, 6, 8, 16])
-def test_windows_are_as_many_as_they_are_counted(rng, views):
-    assert len(windows_of(rng, views, 4)) == count_windows(views, 4)
+def test_windows_have_the_lengths_that_are_said(rng, views):
+    for size in (2, 4):
+        found = [len(window) for window in windows_of(rng, views, size)]
+        assert found == window_lengths(views, size)
 
 
 def test_a_window_is_the_same_world_from_its_own_first_camera(rng):

@@ -23,7 +23,7 @@ from instok3d.model.backbone.vggt.config import VGGTConfig
 from instok3d.model.backbone.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.model.on_paper import on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
-from instok3d.model.windows import count_windows
+from instok3d.model.windows import window_lengths
 from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000
@@ -333,13 +333,14 @@ def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) ->
     if not size or work.views <= size:
         return _tokens_at_once(backbone, config, work)
     window = _tokens_at_once(backbone, config, replace(work, views=size, batch=1))
-    windows = work.batch * count_windows(work.views, size)
+    lengths = window_lengths(work.views, size) * work.batch
+    views = sum(lengths)
     patches = work.pixels // work.batch // _on_paper(backbone).patch_size ** 2
-    joining = 4 * FLOAT * windows * config.num_groups * patches
+    joining = 4 * FLOAT * len(lengths) * config.num_groups * patches
     return Activations(
-        peak=window.peak + windows * window.result + joining,
-        stored=windows * window.stored + joining,
-        result=windows * window.result,
+        peak=window.peak + views * window.result // size + joining,
+        stored=views * window.stored // size + joining,
+        result=views * window.result // size,
     )
 
 

@@ -21,12 +21,13 @@ SAME_GROUP_IOU = 0.15
 
 
 def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
-    """Numbers of the views in each window: `size` neighbours of a path through all views.
+    """Numbers of the views in each window: neighbours of a path through all views.
 
-    Each window begins one view after the one before: groups can be followed from one to the next,
-    and an anchor's assignment is the mean over several windows. All windows come again with their
-    views in the opposite order, seen from their last camera: what is found differs a little, and
-    the mean of both is better (docs/log.md). Views that fit in one window are that window alone.
+    First windows of `size`, then pairs, each begun one view after the one before: groups can be
+    followed from one to the next, and an anchor's assignment is the mean over several windows. All
+    come again with their views in the opposite order, seen from their last camera. What is found
+    differs a little each time, and the mean is better (docs/log.md). Views that fit in one window
+    are that window alone.
 
     Args:
         geometry: Of the whole batch; says which views see the same.
@@ -37,13 +38,23 @@ def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
         path = order_along_path(view_overlaps(geometry, scene))
     if len(path) <= size:
         return [path]
-    windows = [path[start : start + size] for start in range(len(path) - size + 1)]
+    windows = [
+        path[start : start + length]
+        for length in _lengths(size)
+        for start in range(len(path) - length + 1)
+    ]
     return windows + [window[::-1] for window in windows]
 
 
-def count_windows(views: int, size: int) -> int:
-    """How many windows of `size` there are for so many views."""
-    return 1 if views <= size else 2 * (views - size + 1)
+def window_lengths(views: int, size: int) -> list[int]:
+    """How many views each window of `view_windows` has."""
+    if views <= size:
+        return [views]
+    return [length for length in _lengths(size) for _ in range(views - length + 1)] * 2
+
+
+def _lengths(size: int) -> tuple[int, ...]:
+    return (size, 2) if size > 2 else (size,)
 
 
 def cut_window(
@@ -74,11 +85,11 @@ def join_windows(
 ) -> TokenGroups:
     """One scene out of its windows, a batch of one in the first camera's frame.
 
-    Every view's anchors and Gaussians come from the window in whose middle it lies most. Groups of
-    different windows that overlap on shared anchors are one group, whose token is the mean of
-    theirs by the anchors they hold; never two groups of one window. An anchor's assignment is the
-    mean over the windows it is in. In float32, also under autocast. Differentiable but for the
-    choice of what is joined.
+    Every view's anchors and Gaussians come from the largest window in whose middle it lies most.
+    Groups of different windows that overlap on shared anchors are one group, whose token is the
+    mean of theirs by the anchors they hold; never two groups of one window. An anchor's
+    assignment is the mean over the windows it is in. In float32, also under autocast.
+    Differentiable but for the choice of what is joined.
 
     Args:
         parts: The tokens of each window, batches of one.
@@ -242,13 +253,13 @@ def _from_middles(
 
 
 def _middle_windows(windows: Sequence[Sequence[int]]) -> dict[int, int]:
-    """For each view the window in whose middle it lies most, the first of equal ones."""
-    distance: dict[int, tuple[float, int]] = {}
+    """For each view the largest window in whose middle it lies most, the first of equal ones."""
+    distance: dict[int, tuple[int, float, int]] = {}
     for number, window in enumerate(windows):
         for place, view in enumerate(window):
-            off = (abs(place - (len(window) - 1) / 2), number)
+            off = (-len(window), abs(place - (len(window) - 1) / 2), number)
             distance[view] = min(distance.get(view, off), off)
-    return {view: number for view, (_, number) in distance.items()}
+    return {view: number for view, (*_, number) in distance.items()}
 
 
 def _padded(values: Tensor, count: int) -> Tensor:
