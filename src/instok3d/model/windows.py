@@ -1,7 +1,7 @@
 """Many views in overlapping windows, and the groups of all windows as those of one scene.
 
 Not in the paper, whose models see eight views at once. A small one groups a part of a room better
-than the whole (docs/log.md); time and memory grow with the number of views, not with its square.
+than the whole (docs/log.md), and time grows with the number of views, not with its square.
 """
 
 from collections.abc import Sequence
