@@ -26,8 +26,8 @@ class TokenizerConfig:
     num_groups: int = 40
     """L; the paper has 100. Of each window, where there are more views than window_views."""
     window_views: int = 4
-    """More views than this are taken in overlapping windows of so many, whose groups are joined
-    (`model.windows`); 0 takes any number at once, as the paper does."""
+    """More views than this are taken in overlapping windows of so many and in pairs, whose groups
+    are joined (`model.windows`); 0 takes any number at once, as the paper does."""
     anchor_layers: int = 4
     """Layers of D_anchor; the paper has 6."""
     group_layers: int = 3
