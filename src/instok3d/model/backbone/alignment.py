@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.geometry.bundle import TRUST_MIN
+from instok3d.geometry.bundle import NEAREST, TRUST_MIN
 from instok3d.geometry.cameras import invert_rigid, pixel_centers, transform_points
 from instok3d.model.backbone.matching import MATCH_STRIDE, Matches
 
@@ -42,8 +42,6 @@ START_REACH_PX = 6.0
 WARP_MAX_PX = 12.0
 """A patch that would grow over more on a side is compared as it is."""
 ITERATIONS = 6
-NEAREST = 0.05
-"""Depth at which a point counts as behind a camera, in the network's units."""
 
 
 @dataclass(frozen=True)
