@@ -6,15 +6,9 @@ import torch
 from instok3d.geometry.cameras import transform_points
 from instok3d.model.context import to_patches
 from instok3d.model.gaussian_head import GaussianHeadConfig
+from instok3d.model.joining import WindowGroups, collate_scenes, join_groups, join_windows
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
-from instok3d.model.windows import (
-    collate_scenes,
-    cut_window,
-    join_groups,
-    join_windows,
-    view_windows,
-    window_lengths,
-)
+from instok3d.model.windows import cut_window, middle_windows, view_windows, window_lengths
 from instok3d.types import Geometry, TokenGroups, Views
 from plane_backbone import PlaneBackbone, PlaneConfig
 
@@ -78,31 +72,54 @@ def test_a_window_is_the_same_world_from_its_own_first_camera(rng):
     torch.testing.assert_close(seen.pointmaps[0, 2].flatten(0, 1), moved)
 
 
+def window_groups(patches: list[int], held: list[list[float]]) -> WindowGroups:
+    rows = torch.tensor(held).view(len(held), len(patches))
+    return WindowGroups(rows, torch.tensor(patches), torch.zeros(len(held), 1))
+
+
+def numbers(windows: list[WindowGroups], num_patches: int) -> list[list[int]]:
+    return [owner.tolist() for owner in join_groups(windows, num_patches)]
+
+
 def test_groups_are_joined_by_hand():
-    # Window 0 covers patches 0 to 3, window 1 patches 2 to 5; they share 2 and 3.
-    # Row 0 {0, 1, 2} and row 2 {2, 4}: on shared patches both have 2 alone, IoU 1.
-    # Row 1 {3} and row 3 {3, 5}: IoU 1. Row 4 has .1 of patch 3: IoU .1 / 1, below .15.
-    held = torch.tensor(
-        [
-            [1.0, 1, 1, 0, 0, 0],
-            [0, 0, 0, 1, 0, 0],
-            [0, 0, 1, 0, 1, 0],
-            [0, 0, 0, 0.9, 0, 1],
-            [0, 0, 0, 0.1, 0, 0],
-        ]
-    )
-    covered = torch.tensor([[1.0, 1, 1, 1, 0, 0], [0, 0, 1, 1, 1, 1]])
-    owner = join_groups(held, covered, torch.tensor([0, 0, 1, 1, 1]))
-    assert owner.tolist() == [0, 1, 0, 1, 2]
+    # The windows share patches 2 and 3.
+    # Group 0 {0, 1, 2} and group 0' {2, 4}: on shared patches both have 2 alone, IoU 1.
+    # Group 1 {3} and .9 of 3: IoU .9. Group 2' has .1 of patch 3: IoU .1 / 1, below .15.
+    first = window_groups([0, 1, 2, 3], [[1.0, 1, 1, 0], [0, 0, 0, 1]])
+    second = window_groups([2, 3, 4, 5], [[1.0, 0, 1, 0], [0, 0.9, 0, 1], [0, 0.1, 0, 0]])
+    assert numbers([first, second], 6) == [[0, 1], [0, 1, 2]]
+    # In whatever order a window names its patches.
+    turned = WindowGroups(second.held.flip(1), second.patches.flip(0), second.tokens)
+    assert numbers([first, turned], 6) == [[0, 1], [0, 1, 2]]
+    assert numbers([turned, first], 6) == [[0, 1, 2], [0, 1]]
+
+
+def test_windows_that_share_no_patch_share_no_group():
+    one, other = window_groups([0, 1], [[1.0, 1]]), window_groups([2, 3], [[1.0, 1]])
+    assert numbers([one, other], 4) == [[0], [1]]
 
 
 def test_two_groups_of_one_window_are_never_joined_by_way_of_another():
-    # Row 1 overlaps rows 0 and 2, which are two groups of window 0; it goes to the likelier one.
-    held = torch.tensor([[0.4, 0.4, 0], [1.0, 1, 1], [0.6, 0.6, 1]])
-    owner = join_groups(held, torch.ones(2, 3), torch.tensor([0, 1, 0]))
-    assert owner.tolist() == [0, 1, 1]
-    nothing = join_groups(torch.zeros(0, 3), torch.ones(2, 3), torch.zeros(0, dtype=torch.long))
-    assert nothing.tolist() == []
+    # The group of window 1 overlaps both of window 0; it goes to the likelier one.
+    two = window_groups([0, 1, 2], [[0.4, 0.4, 0], [0.6, 0.6, 1]])
+    one = window_groups([0, 1, 2], [[1.0, 1, 1]])
+    assert numbers([two, one], 3) == [[0, 1], [1]]
+    assert numbers([window_groups([0, 1], []), window_groups([1, 2], [])], 3) == [[], []]
+
+
+def test_only_windows_whose_gaussians_stay_decode_them(rng):
+    model, shown = small_tokenizer(), photos(rng, views=6)
+    geometry = model.backbone(shown)
+    windows = view_windows(geometry, 0, 4)
+    decoded = []
+    model.gaussian_head.register_forward_hook(lambda *_: decoded.append(1))
+    found = model(shown, geometry)
+    assert len(decoded) == len(set(middle_windows(windows).values())) < len(windows)
+    parts = [model.tokenize(*cut_window(shown, geometry, 0, window)) for window in windows]
+    whole = join_windows(parts, windows, geometry, 0)
+    assert torch.equal(found.assignment, whole.assignment)
+    assert torch.equal(found.gaussians.means, whole.gaussians.means)
+    assert torch.equal(found.gaussians.sh, whole.gaussians.sh)
 
 
 def test_up_to_the_size_of_a_window_nothing_is_cut(rng):

@@ -108,6 +108,17 @@ class GaussianHead(nn.Module):
         with torch.autocast(raw.device.type, enabled=False):
             return self._from_anchor(anchors.positions, raw.float())
 
+    def no_gaussians(self, anchors: Anchors, context: Context) -> Gaussians:
+        """None for any of these anchors."""
+        none = context.positions.new_zeros(len(anchors.tokens), 0, 1, 1)
+        return self._gaussians(
+            none.expand(-1, -1, -1, 3),
+            none.expand(-1, -1, -1, 3),
+            none.expand(-1, -1, -1, 4),
+            none[..., 0],
+            none[..., None].expand(-1, -1, -1, self.config.coefficients, 3),
+        )
+
     def _from_surface(
         self, seeds: "_SurfaceSeeds", raw: Float[Tensor, "batch anchor number"]
     ) -> Gaussians:

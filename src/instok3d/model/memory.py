@@ -32,6 +32,8 @@ LEARNING_BYTES = 100_000_000
 """What training allocates once, beyond the tensors that are counted."""
 CONVOLUTIONS_BYTES = 60_000_000
 """What the library of convolutions keeps for those of the dense heads."""
+SCENE_BYTES = 500
+"""A pixel of a photo: id maps, previews and the heap's gaps behind a tokenizer."""
 LOADING = 2.1
 """While weights are loaded they are there twice: in the model and as they were read."""
 DEPTH_ANYTHING_3 = {"tiny": 684_991, "small": 34_299_463, "base": 135_366_599}
@@ -121,6 +123,8 @@ def predict_peak_bytes(backbone: Any, tokenizer: TokenizerConfig | None, work: W
         learning = parts[1:] if work.frozen_backbone else parts
         running += sum(part.stored for part in learning) + _rendering(tokenizer, work)
         running += LEARNING_BYTES
+    elif tokenizer is not None:
+        running += SCENE_BYTES * work.pixels
     return PROCESS_BYTES + int(max(LOADING * FLOAT * whole, running))
 
 
@@ -334,13 +338,15 @@ def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) ->
         return _tokens_at_once(backbone, config, work)
     window = _tokens_at_once(backbone, config, replace(work, views=size, batch=1))
     lengths = window_lengths(work.views, size) * work.batch
-    views = sum(lengths)
-    patches = work.pixels // work.batch // _on_paper(backbone).patch_size ** 2
-    joining = 4 * FLOAT * len(lengths) * config.num_groups * patches
+    patches = work.pixels // _on_paper(backbone).patch_size ** 2
+    anchors = sum(lengths) * patches // (work.views * work.batch)
+    kept = FLOAT * anchors * (config.width + 2 * config.num_groups)
+    joining = 4 * FLOAT * patches * config.num_groups
+    scene = work.views * work.batch * window.result // size
     return Activations(
-        peak=window.peak + views * window.result // size + joining,
-        stored=views * window.stored // size + joining,
-        result=views * window.result // size,
+        peak=window.peak + kept + joining + scene,
+        stored=sum(lengths) * window.stored // size + joining,
+        result=scene,
     )
 
 

@@ -10,8 +10,9 @@ from instok3d.model.context import ContextFusion
 from instok3d.model.free_space import thin_out_free_space
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.model.grouping import Assignment, GroupDecoder
+from instok3d.model.joining import collate_scenes, join_windows
 from instok3d.model.transformer import Decoder
-from instok3d.model.windows import collate_scenes, cut_window, join_windows, view_windows
+from instok3d.model.windows import cut_window, middle_windows, view_windows
 from instok3d.types import Geometry, TokenGroups, Views
 
 
@@ -134,7 +135,7 @@ class Tokenizer(nn.Module):
             groups = self._tokenize_windows(views, seen, size)
         return thin_out_free_space(groups) if self.config.thin_free_space else groups
 
-    def tokenize(self, views: Views, seen: Geometry) -> TokenGroups:
+    def tokenize(self, views: Views, seen: Geometry, *, draw: bool = True) -> TokenGroups:
         """All views at once, one line for each arrow of Fig. 2(a).
 
         Positions and Gaussians come out in scene units (the geometry's) and in the first view's
@@ -144,13 +145,15 @@ class Tokenizer(nn.Module):
         Args:
             views: Of these, the images alone are looked at.
             seen: What the backbone says of them.
+            draw: Decode Gaussians; without, there are none.
         """
         context = self.fuse(views, seen)  # X: one token per patch of every view
         seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
         anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
         groups = self.group_decoder(anchors)  # G (Eq. 2)
         assignment = self.assign(anchors.tokens, groups)  # pi (Eq. 3)
-        gaussians = self.gaussian_head(anchors, context)  # N_g for each anchor
+        head = self.gaussian_head if draw else self.gaussian_head.no_gaussians
+        gaussians = head(anchors, context)  # N_g for each anchor
         scale = context.scale[:, None, None]
         return TokenGroups(
             anchors=replace(anchors, positions=anchors.positions * scale),
@@ -167,7 +170,11 @@ class Tokenizer(nn.Module):
         scenes = []
         for scene in range(len(views.images)):
             windows = view_windows(seen, scene, size)
-            parts = [self.tokenize(*cut_window(views, seen, scene, window)) for window in windows]
+            drawn = set(middle_windows(windows).values())
+            parts = []
+            for number, window in enumerate(windows):
+                part = self.tokenize(*cut_window(views, seen, scene, window), draw=number in drawn)
+                parts.append(replace(part, geometry=seen))  # its own copy goes at once
             scenes.append(join_windows(parts, windows, seen, scene))
         return collate_scenes(scenes, seen)
 
