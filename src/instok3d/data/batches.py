@@ -296,4 +296,5 @@ def make_sample(
         context_instances=instances[context][None],
         target_instances=instances[target][None],
         names=(f"{scene.name} frames {frame_names}",),
+        frames=(choice,),
     )

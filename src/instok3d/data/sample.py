@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from instok3d.data.view_sampling import FrameChoice
 from instok3d.types import Views
 
 
@@ -30,6 +31,8 @@ class Sample:
     keys: tuple[str, ...] = ()
     """One for each sample that can be told from all others of its data set and comes again:
     scene/views/number. Empty where frames are drawn anew every time."""
+    frames: tuple[FrameChoice, ...] = ()
+    """Of its scene, one for each sample; empty where they have no order."""
 
     def to(self, device: torch.device | str) -> "Sample":
         """The same sample with its tensors on another device."""
@@ -40,6 +43,7 @@ class Sample:
             target_instances=self.target_instances.to(device),
             names=self.names,
             keys=self.keys,
+            frames=self.frames,
         )
 
 
@@ -61,6 +65,7 @@ def collate(samples: Sequence[Sample]) -> Sample:
         target_instances=torch.cat([s.target_instances for s in samples]),
         names=tuple(name for s in samples for name in s.names),
         keys=tuple(key for s in samples for key in s.keys),
+        frames=tuple(choice for s in samples for choice in s.frames),
     )
 
 

@@ -36,7 +36,8 @@ from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips
 from instok3d.training.pictures import color_picture, contact_sheet, id_picture
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages import StepLoss
-from instok3d.types import Geometry, Rendering, TokenGroups, Views
+from instok3d.training.window_samples import window_samples
+from instok3d.types import Geometry, Rendering, TokenGroups
 
 
 @dataclass(frozen=True)
@@ -142,13 +143,18 @@ class TokenizerStage:
 
         Which views those are is the sampling's choice: with two contexts these and the frame
         between them, with more only frames between them (Uni3R's protocol, which Sec. 4 names).
+        Of more views than the model takes at once it learns some windows (`window_samples`).
         """
         assert isinstance(model, Tokenizer)
         config = self.config
         draw, intrinsics_draw = np.random.default_rng([4, step]).random(2)
         given = bool(draw < config.given_probability)
         know_intrinsics = bool(intrinsics_draw < config.intrinsics_probability)
-        groups, rendering = self._run(model, sample, given=given, intrinsics=know_intrinsics)
+        geometry = self._geometry(model, sample, given=given, intrinsics=know_intrinsics)
+        if 0 < (size := model.config.window_views) < sample.context.images.shape[1]:
+            rng = np.random.default_rng([5, step])
+            sample, geometry = window_samples(sample, geometry, size, rng)
+        groups, rendering = self._render(model, sample, geometry, given=given)
         assert rendering.features is not None
         images = sample.target.images
         lpips = self.lpips.to(images.device) if self.lpips else None
@@ -264,10 +270,26 @@ class TokenizerStage:
     def _run(
         self, model: Tokenizer, sample: Sample, *, given: bool, intrinsics: bool = False
     ) -> tuple[TokenGroups, Rendering]:
-        """Tokens from the contexts, rendered at the targets with the groups' probabilities."""
+        """Tokens from all contexts, rendered at the targets with the groups' probabilities."""
+        geometry = self._geometry(model, sample, given=given, intrinsics=intrinsics)
+        return self._render(model, sample, geometry, given=given)
+
+    def _geometry(
+        self, model: Tokenizer, sample: Sample, *, given: bool, intrinsics: bool
+    ) -> Geometry:
+        """What the backbone says of the contexts, from the cache where there is one."""
+        if self.cache:
+            return self.cache.geometry(sample, given=given, intrinsics=intrinsics)
+        if self.config.freeze_backbone:
+            model.backbone.eval()
         views = sample.context if given else photos_only(sample.context, keep_intrinsics=intrinsics)
-        geometry = self._geometry(model, sample, views, given=given, intrinsics=intrinsics)
-        groups = model(views, geometry)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.config.freeze_backbone):
+            return model.backbone(views)
+
+    def _render(
+        self, model: Tokenizer, sample: Sample, geometry: Geometry, *, given: bool
+    ) -> tuple[TokenGroups, Rendering]:
+        groups = model(photos_only(sample.context), geometry)
         target = sample.target
         with torch.autocast(target.images.device.type, enabled=False):
             kind = "true" if given else self.config.target_cameras
@@ -279,17 +301,6 @@ class TokenizerStage:
                 anchor_features=groups.assignment[..., :-1].float(),
             )
         return groups, rendering
-
-    def _geometry(
-        self, model: Tokenizer, sample: Sample, views: Views, *, given: bool, intrinsics: bool
-    ) -> Geometry:
-        """What the backbone says of the views, from the cache where there is one."""
-        if self.cache:
-            return self.cache.geometry(sample, given=given, intrinsics=intrinsics)
-        if self.config.freeze_backbone:
-            model.backbone.eval()
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.config.freeze_backbone):
-            return model.backbone(views)
 
 
 def gradient_error(
