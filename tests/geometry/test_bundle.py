@@ -271,10 +271,12 @@ def test_pairs_agree_with_the_focal_length_that_was_solved_for(rng):
     sightings = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
     taken = torch.tensor([2.5, 2.5, 1.0])
     wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
-    solved = bundle._agreed_trust(wrong, true[None], torch.tensor([2.5]).log())
-    torch.testing.assert_close(solved, bundle._agreed_trust(sightings, true[None], torch.zeros(1)))
+    solved = bundle._agreed_trust(wrong, true[None], torch.tensor([2.5]).log(), 0.15)
+    torch.testing.assert_close(
+        solved, bundle._agreed_trust(sightings, true[None], torch.zeros(1), 0.15)
+    )
     assert solved.max() > 0.9
-    assert bundle._agreed_trust(wrong, true[None], torch.zeros(1)).max() == 0
+    assert bundle._agreed_trust(wrong, true[None], torch.zeros(1), 0.15).max() == 0
 
 
 def test_a_right_focal_length_stays(rng):

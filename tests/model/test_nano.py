@@ -8,7 +8,8 @@ from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.model.backbone.matching import find_peaks
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig, RawGeometry
-from instok3d.model.backbone.pair_cameras import PhotoViews, solve_views
+from instok3d.model.backbone.pair_cameras import solve_views
+from instok3d.model.backbone.pair_matches import PhotoViews
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=0)

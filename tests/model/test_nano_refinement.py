@@ -10,7 +10,7 @@ from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.model.backbone.matching import Matches, cell_centers
 from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 from instok3d.model.backbone.nano_refinement import gather_evidence, measure_parallax
-from instok3d.model.backbone.pair_cameras import MatchedPoints, PairMatches, PhotoViews
+from instok3d.model.backbone.pair_matches import MatchedPoints, PairMatches, PhotoViews
 from instok3d.types import Views
 
 TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=1)

@@ -18,8 +18,6 @@ NEAREST = 0.05
 """Depth at which a point counts as behind a camera."""
 TRUST_MIN = 0.5
 """Matches that are less probable count for nothing."""
-AGREEMENT = 0.15
-"""x/z, y/z from its place at which a match still agrees with the cameras of the start."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,8 @@ class BundleNoise:
     focal: float = 0.01
     """Of the logarithm of a focal length that is not known; where it is more, the error counts
     less and less (Cauchy), as a guess is mostly right or quite wrong."""
+    agreement: float = 0.15
+    """x/z, y/z from its place at which a match still agrees with the cameras of the start."""
     outlier: float = 2.0
     """Standard deviations at which an error has lost half its weight."""
 
@@ -132,7 +132,7 @@ def adjust_bundle(
         return cameras, changes, longer
     here = node_weights(sightings.places_here, grid)
     there = node_weights(sightings.places_there, grid)
-    trust = _agreed_trust(sightings, cameras, longer)
+    trust = _agreed_trust(sightings, cameras, longer, noise.agreement)
     sightings = replace(sightings, trust=trust)
     prior = _prior_precision(grid, noise).to(changes)
     # A depth that is known is one whose prior is a thousand times as narrow.
@@ -152,17 +152,23 @@ def adjust_bundle(
     return cameras, changes, longer
 
 
+def counted_trust(trust: Float[Tensor, "*match"]) -> Float[Tensor, "*match"]:
+    """From 0 at TRUST_MIN to 1."""
+    return (trust - TRUST_MIN).clamp_min(0) / (1 - TRUST_MIN)
+
+
 def _agreed_trust(
     sightings: Sightings,
     cameras: Float[Tensor, "batch view 4 4"],
     log_focal: Float[Tensor, " batch"],
+    agreement: float,
 ) -> Float[Tensor, "sighting point"]:
-    """Trust in each match, counted from TRUST_MIN on, less where a pair contradicts the start.
+    """Counted trust in each match, less where a pair contradicts the start.
 
     Views of different places of alike things have many sure and wrong matches. Theirs lie far
     from where the cameras, which came from better pairs, put the points.
     """
-    trust = (sightings.trust - TRUST_MIN).clamp_min(0) / (1 - TRUST_MIN)
+    trust = counted_trust(sightings.trust)
     there, here = (cameras[sightings.scenes, view] for view in (sightings.there, sightings.here))
     there_from_here = there @ invert_rigid(here)
     longer = log_focal[sightings.scenes].exp()[:, None, None]
@@ -170,7 +176,7 @@ def _agreed_trust(
     seen = points @ there_from_here[:, :3, :3].mT + there_from_here[:, None, :3, 3]
     placed = longer * seen[..., :2] / seen[..., 2:].clamp_min(NEAREST)
     error = (placed - sightings.rays).norm(dim=-1)
-    agrees = (error < AGREEMENT) & (seen[..., 2] > NEAREST)
+    agrees = (error < agreement) & (seen[..., 2] > NEAREST)
     share = (trust * agrees).sum(-1) / trust.sum(-1).clamp_min(1e-9)
     return trust * ((share - 0.5) / 0.3).clamp(0, 1)[:, None]
 

@@ -1,5 +1,6 @@
 """Where the best match of each descriptor cell lies, finer than the cells."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -36,6 +37,16 @@ class Matches:
             precision=self.precision[:, cells],
             trust=self.trust[:, cells],
         )
+
+
+def join_matches(parts: Sequence[Matches]) -> Matches:
+    """One batch of all parts, which are of the same cells."""
+    return Matches(
+        centers=parts[0].centers,
+        pixels=torch.cat([part.pixels for part in parts]),
+        precision=torch.cat([part.precision for part in parts]),
+        trust=torch.cat([part.trust for part in parts]),
+    )
 
 
 def cell_centers(rows: int, columns: int, *, like: Tensor) -> Float[Tensor, "cell 2"]:

@@ -26,15 +26,12 @@ from instok3d.model.backbone.matching import MATCH_STRIDE, find_peaks
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, Stem, Unshuffle
 from instok3d.model.backbone.nano_refinement import DepthRefinement, gather_evidence
 from instok3d.model.backbone.pair_cameras import (
-    PairMatches,
-    PhotoViews,
-    ViewMatches,
     align_pairs,
     improve_views,
-    scale_focal,
     solve_views,
     unsolved,
 )
+from instok3d.model.backbone.pair_matches import PairMatches, PhotoViews, ViewMatches, scale_focal
 from instok3d.types import Geometry, Views
 
 AT_FIRST, AFTER_REFINEMENT = BundleNoise(), BundleNoise(depth=0.05)

@@ -15,7 +15,7 @@ from torch.nn import functional
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.model.backbone.matching import MATCH_STRIDE
 from instok3d.model.backbone.nano_layers import SelfAttentionBlock, convolve
-from instok3d.model.backbone.pair_cameras import (
+from instok3d.model.backbone.pair_matches import (
     MatchedPoints,
     PairMatches,
     PhotoViews,

@@ -1,129 +1,39 @@
 """Cameras of all views from the matches of pairs of them, and what the matches say of depth."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.geometry.bundle import BundleNoise, Sightings, adjust_bundle, coarse_grid
-from instok3d.geometry.registration import compose_along_tree, register_pair
-from instok3d.model.backbone.alignment import PhotoGeometry, align_matches, sample_depth
-from instok3d.model.backbone.matching import MATCH_STRIDE, Matches
+from instok3d.geometry.bundle import (
+    NEAREST,
+    BundleNoise,
+    adjust_bundle,
+    coarse_grid,
+    counted_trust,
+)
+from instok3d.geometry.cameras import invert_rigid, transform_points
+from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
+from instok3d.model.backbone.alignment import align_matches
+from instok3d.model.backbone.matching import join_matches
+from instok3d.model.backbone.pair_matches import (
+    PairMatches,
+    PhotoViews,
+    SolvedViews,
+    ViewMatches,
+    matched_points,
+    pair_sightings,
+    thinned,
+)
 
 ALIGNMENT_ROUNDS = 5
 """So many times matches are aligned by the cameras and the cameras solved from them."""
 ALIGNED_SHARED = 0.3
 """As many independent matches an aligned one is worth; more than one that was not aligned."""
-
-
-@dataclass(frozen=True)
-class PairMatches:
-    """Matches of two views of each scene of the batch, both ways."""
-
-    views_a: Int[Tensor, " batch"]
-    views_b: Int[Tensor, " batch"]
-    of_a: Matches
-    """Where the cells of a lie in b."""
-    of_b: Matches
-    """Where the cells of b lie in a."""
-
-    @property
-    def ways(self) -> tuple[tuple[Tensor, Tensor, Matches], tuple[Tensor, Tensor, Matches]]:
-        """(views here, views there, matches of cells of here in there), both ways."""
-        return (
-            (self.views_a, self.views_b, self.of_a),
-            (self.views_b, self.views_a, self.of_b),
-        )
-
-
-@dataclass(frozen=True)
-class ViewMatches:
-    """Which pairs of views were matched."""
-
-    tree: list[PairMatches]
-    """One pair fewer than there are views; view b of each is first reached by it."""
-    loops: list[PairMatches]
-    """More pairs that see much of the same."""
-
-    @property
-    def pairs(self) -> list[PairMatches]:
-        """Both."""
-        return self.tree + self.loops
-
-
-@dataclass(frozen=True)
-class SolvedViews:
-    """Cameras of all views, their focal length and the coarse change of their depths."""
-
-    cam_from_first: Float[Tensor, "batch view 4 4"]
-    """In units of the depths."""
-    log_focal: Float[Tensor, " batch"]
-    """Logarithm of the focal length, one for all views, over what it was taken for."""
-    deeper: Float[Tensor, "batch view height width"]
-    """To be added to log depth."""
-
-
-@dataclass(frozen=True)
-class PhotoViews:
-    """Photos of all views and the geometry in which their matches are looked at."""
-
-    images: Float[Tensor, "batch view 3 height width"]
-    depths: Float[Tensor, "batch view height width"]
-    """> 0."""
-    intrinsics: Float[Tensor, "batch view 3 3"]
-    """Pixels."""
-
-    def at(
-        self, views: Int[Tensor, " batch"], cam_from_first: Float[Tensor, "batch view 4 4"]
-    ) -> PhotoGeometry:
-        """One view of each scene."""
-        scenes = torch.arange(len(views), device=views.device)
-        parts = (self.images, self.depths, self.intrinsics, cam_from_first)
-        return PhotoGeometry(*(part[scenes, views] for part in parts))
-
-    def moved(self, solved: SolvedViews) -> "PhotoViews":
-        """With the depths and the focal length that were solved for."""
-        return replace(
-            self,
-            depths=self.depths * solved.deeper.exp(),
-            intrinsics=scale_focal(self.intrinsics, solved.log_focal),
-        )
-
-
-@dataclass(frozen=True)
-class MatchedPoints:
-    """Cells of one view in space, and where another view sees them: one direction of a pair."""
-
-    points: Float[Tensor, "batch cell 3"]
-    """Where the depth puts each cell, in its own camera's frame."""
-    rays: Float[Tensor, "batch cell 2"]
-    """x/z, y/z of its match in the other camera's frame."""
-    precision: Float[Tensor, "batch cell 2 2"]
-    """Inverse covariance of the rays."""
-    matched: Float[Tensor, "batch cell 3"]
-    """Where the other view's depth puts the match, in the other camera's frame."""
-    trust: Float[Tensor, "batch cell"]
-    """Probability of the match."""
-
-
-def matched_points(pair: PairMatches, views: PhotoViews) -> tuple[MatchedPoints, MatchedPoints]:
-    """The cells of a as b sees them, and the cells of b as a sees them."""
-    scenes = torch.arange(len(views.depths), device=views.depths.device)
-    found = []
-    for here, there, matches in pair.ways:
-        own = matches.centers.expand(len(scenes), -1, -1)
-        points = _points_at(own, views.depths[scenes, here], views.intrinsics[scenes, here])
-        intrinsics = views.intrinsics[scenes, there]
-        matched = _points_at(matches.pixels, views.depths[scenes, there], intrinsics)
-        focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)
-        by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
-        rays = matched[..., :2] / matched[..., 2:]
-        found.append(
-            MatchedPoints(points, rays, matches.precision * by_focal, matched, matches.trust)
-        )
-    return found[0], found[1]
+AGREEMENT_TOGETHER = 0.05
+"""x/z, y/z at which a match agrees with cameras that came from aligned pairs."""
 
 
 @torch.no_grad()
@@ -137,9 +47,10 @@ def solve_views(
 ) -> SolvedViews:
     """The cameras under which all matches fit best, and depth moved with them.
 
-    Pairs along the tree are solved alone and chained; from there all views and pairs are adjusted
-    together. With these cameras the photos say more exactly where the matches lie, and so on in
-    turn. Not differentiable.
+    With the cameras the photos say more exactly where the matches lie, from which come better
+    cameras, and so on in turn. Of more than two views every pair first does so alone: one wrong
+    pair would pull all others along. The pairs whose matches then fit best make the tree along
+    which they are chained, and from there all views are adjusted together. Not differentiable.
 
     Args:
         matches: Of all views.
@@ -148,22 +59,18 @@ def solve_views(
         focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
         noise: What to expect of the depths.
     """
-    ways = [matched_points(pair, views) for pair in matches.tree]
-    chained = _chain(matches.tree, ways, batch=len(views.depths)).to(views.depths)
-    solved = unsolved(views, chained)
+    known = {"depth_is_free": depth_is_free, "noise": noise}
     if not matches.pairs:
-        return solved
-    pairs = _thinned(matches.pairs, views)
-    solved = _adjust(pairs, views, solved, depth_is_free, focal_is_free, noise)
+        first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
+        return unsolved(views, first.clone())
+    if len(matches.pairs) == 1:
+        solved = unsolved(views, _register(matches.pairs[0], views))
+        pairs = thinned(matches.pairs, views)
+        solved = _adjust(pairs, views, solved, focal_is_free=focal_is_free, **known)
+    else:
+        solved = unsolved(views, _chain_pairs(matches, views, depth_is_free, noise))
     for _ in range(ALIGNMENT_ROUNDS):
-        solved = improve_views(
-            matches,
-            views,
-            solved,
-            depth_is_free=depth_is_free,
-            focal_is_free=focal_is_free,
-            noise=noise,
-        )
+        solved = improve_views(matches, views, solved, focal_is_free=focal_is_free, **known)
     return solved
 
 
@@ -195,9 +102,18 @@ def improve_views(
     """
     if not matches.pairs:
         return solved
-    pairs = align_pairs(_thinned(matches.pairs, views), views.moved(solved), solved.cam_from_first)
+    pairs = align_pairs(thinned(matches.pairs, views), views.moved(solved), solved.cam_from_first)
     noise = replace(noise, shared=ALIGNED_SHARED)
-    return _adjust(pairs, views, solved, depth_is_free, focal_is_free, noise)
+    if len(pairs) > 1:  # a pair alone has no others that could say it is wrong
+        noise = replace(noise, agreement=AGREEMENT_TOGETHER)
+    return _adjust(
+        pairs,
+        views,
+        solved,
+        depth_is_free=depth_is_free,
+        focal_is_free=focal_is_free,
+        noise=noise,
+    )
 
 
 def align_pairs(
@@ -218,13 +134,14 @@ def _adjust(
     pairs: list[PairMatches],
     views: PhotoViews,
     solved: SolvedViews,
+    *,
     depth_is_free: Float[Tensor, "batch view"],
     focal_is_free: bool,
     noise: BundleNoise,
 ) -> SolvedViews:
     height, width = views.depths.shape[-2:]
     grid = coarse_grid(height, width)
-    sightings = _sightings(pairs, views)
+    sightings = pair_sightings(pairs, views)
     cam_from_first, changes, log_focal = adjust_bundle(
         sightings,
         solved.cam_from_first,
@@ -240,61 +157,79 @@ def _adjust(
     return SolvedViews(cam_from_first, log_focal, deeper)
 
 
-def _points_at(
-    pixels: Float[Tensor, "batch point 2"],
-    depths: Float[Tensor, "batch height width"],
-    intrinsics: Float[Tensor, "batch 3 3"],
-) -> Float[Tensor, "batch point 3"]:
-    """Points of the surface at places of an image, in the camera's frame."""
-    rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1) @ intrinsics.inverse().mT
-    return rays * sample_depth(depths, pixels)[..., None]
+def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 4"]:
+    """cam_from_first of the two views of a pair, from where descriptors and depth put it."""
+    a, b = matched_points(pair, views)
+    b_from_a = register_pair(
+        a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust
+    )
+    return torch.stack([torch.eye(4).to(b_from_a).expand_as(b_from_a), b_from_a], dim=1)
 
 
-def scale_focal(
-    intrinsics: Float[Tensor, "batch view 3 3"], log_focal: Float[Tensor, " batch"]
-) -> Float[Tensor, "batch view 3 3"]:
-    """Intrinsics with focal lengths that are exp(log_focal) times as long."""
-    scale = torch.ones_like(intrinsics)
-    scale[..., 0, 0] = scale[..., 1, 1] = log_focal.exp()[:, None]
-    return intrinsics * scale
-
-
-def _thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
-    """The matches of every second cell each way.
-
-    Those of neighbouring cells are wrong together: all of them say little more than a quarter.
-    """
-    rows, columns = (size // MATCH_STRIDE for size in views.depths.shape[-2:])
-    number = torch.arange(rows * columns, device=views.depths.device).view(rows, columns)
-    cells = number[::2, ::2].flatten()
-    return [replace(pair, of_a=pair.of_a.at(cells), of_b=pair.of_b.at(cells)) for pair in pairs]
-
-
-def _chain(
-    tree: list[PairMatches], ways: list[tuple[MatchedPoints, MatchedPoints]], *, batch: int
+def _chain_pairs(
+    matches: ViewMatches,
+    views: PhotoViews,
+    depth_is_free: Float[Tensor, "batch view"],
+    noise: BundleNoise,
 ) -> Float[Tensor, "batch view 4 4"]:
-    """cam_from_first of every view: each pair of the tree solved alone, composed along it."""
-    b_from_a = [
-        register_pair(a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust)
-        for a, b in ways
-    ]
-    scenes = []
+    """cam_from_first of every view: all pairs solved alone, the best-supported ones composed."""
+    batch, count = views.depths.shape[:2]
+    pair, scenes, both = _as_scenes(matches.pairs, batch)
+    alone = PhotoViews(
+        views.images[scenes, both], views.depths[scenes, both], views.intrinsics[scenes, both]
+    )
+    solved = solve_views(
+        ViewMatches([pair], []),
+        alone,
+        depth_is_free=depth_is_free[scenes, both],
+        focal_is_free=False,
+        noise=noise,
+    )
+    support = _support(pair, alone, solved, noise).view(-1, batch)
+    b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
+    found = []
     for scene in range(batch):
-        edges = [(int(pair.views_a[scene]), int(pair.views_b[scene])) for pair in tree]
-        steps = {edge: step[scene] for edge, step in zip(edges, b_from_a, strict=True)}
-        scenes.append(compose_along_tree(steps, edges))
-    return torch.stack(scenes)
+        edges = [(int(p.views_a[scene]), int(p.views_b[scene])) for p in matches.pairs]
+        scores = views.depths.new_full((count, count), -1.0)  # never chosen: no such pair
+        steps = {}
+        for number, (a, b) in enumerate(edges):
+            scores[a, b] = support[number, scene]
+            steps[a, b] = b_from_a[number, scene]
+            steps[b, a] = invert_rigid(steps[a, b])
+        tree = spanning_tree(scores)
+        found.append(compose_along_tree({edge: steps[edge] for edge in tree}, tree))
+    return torch.stack(found).to(views.depths)
 
 
-def _sightings(pairs: list[PairMatches], views: PhotoViews) -> Sightings:
-    """Both directions of every pair of every scene, one row each."""
-    height, width = views.depths.shape[-2:]
-    size = torch.tensor([width, height]).to(views.depths)
-    scenes = torch.arange(len(views.depths), device=size.device)
-    parts = []
-    for pair in pairs:
-        for (here, there, matches), way in zip(pair.ways, matched_points(pair, views), strict=True):
-            places = (matches.centers / size).expand(len(scenes), -1, -1)
-            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.trust)
-            parts.append((scenes, here, there, *points, places, matches.pixels / size))
-    return Sightings(*(torch.cat(each) for each in zip(*parts, strict=True)))
+def _as_scenes(
+    pairs: list[PairMatches], batch: int
+) -> tuple[PairMatches, Int[Tensor, "row 1"], Int[Tensor, "row 2"]]:
+    """Every pair of every scene as a scene of two views; which scene, and which views of it."""
+    views_a, views_b = [p.views_a for p in pairs], [p.views_b for p in pairs]
+    both = torch.stack([torch.cat(views_a), torch.cat(views_b)], dim=1)
+    zero = torch.zeros_like(both[:, 0])
+    pair = PairMatches(
+        zero,
+        zero + 1,
+        join_matches([p.of_a for p in pairs]),
+        join_matches([p.of_b for p in pairs]),
+    )
+    scenes = torch.arange(batch, device=zero.device).repeat(len(pairs))[:, None]
+    return pair, scenes, both
+
+
+def _support(
+    pair: PairMatches, views: PhotoViews, solved: SolvedViews, noise: BundleNoise
+) -> Float[Tensor, " batch"]:
+    """How many matches, aligned, lie where the cameras put them; wrong pairs have few of these."""
+    views = views.moved(solved)
+    aligned = align_pairs(thinned([pair], views), views, solved.cam_from_first)
+    sightings = pair_sightings(aligned, views)
+    there, here = (
+        solved.cam_from_first[sightings.scenes, view] for view in (sightings.there, sightings.here)
+    )
+    seen = transform_points(there @ invert_rigid(here), sightings.points)
+    off = seen[..., :2] / seen[..., 2:].clamp_min(NEAREST) - sightings.rays
+    squared = (off[..., None, :] @ sightings.precision @ off[..., None])[..., 0, 0]
+    weight = counted_trust(sightings.trust) / (1 + squared / noise.outlier**2)
+    return squared.new_zeros(len(views.depths)).index_add(0, sightings.scenes, weight.sum(-1))
