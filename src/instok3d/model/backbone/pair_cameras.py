@@ -59,18 +59,30 @@ def solve_views(
         focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
         noise: What to expect of the depths.
     """
-    known = {"depth_is_free": depth_is_free, "noise": noise}
     if not matches.pairs:
         first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
         return unsolved(views, first.clone())
     if len(matches.pairs) == 1:
         solved = unsolved(views, _register(matches.pairs[0], views))
-        pairs = thinned(matches.pairs, views)
-        solved = _adjust(pairs, views, solved, focal_is_free=focal_is_free, **known)
+        solved = _adjust(
+            thinned(matches.pairs, views),
+            views,
+            solved,
+            depth_is_free=depth_is_free,
+            focal_is_free=focal_is_free,
+            noise=noise,
+        )
     else:
         solved = unsolved(views, _chain_pairs(matches, views, depth_is_free, noise))
     for _ in range(ALIGNMENT_ROUNDS):
-        solved = improve_views(matches, views, solved, focal_is_free=focal_is_free, **known)
+        solved = improve_views(
+            matches,
+            views,
+            solved,
+            depth_is_free=depth_is_free,
+            focal_is_free=focal_is_free,
+            noise=noise,
+        )
     return solved
 
 
