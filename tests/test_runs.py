@@ -40,9 +40,9 @@ def test_the_script_of_the_default_model_runs_commands_that_exist(
 ):
     commands = recorded(tmp_path, "default_model.sh")
     stages = [words[:2] for words in commands]
-    training = ["nano-geometry", "nano-geometry", "nano-refinement", "nano-tokenizer", "export"]
-    assert stages[:7] == [["data", "rooms"]] * 2 + [["train", name] for name in training]
-    modes = [(words[1], words[words.index("--geometry") + 1]) for words in commands[7:]]
+    training = ["nano-geometry"] * 2 + ["nano-refinement"] + ["nano-tokenizer"] * 2 + ["export"]
+    assert stages[:8] == [["data", "rooms"]] * 2 + [["train", name] for name in training]
+    modes = [(words[1], words[words.index("--geometry") + 1]) for words in commands[8:]]
     assert len(set(modes)) == 4
     for words in commands:
         with monkeypatch.context() as patch:
