@@ -156,7 +156,7 @@ def test_without_a_network_depth_still_moves_with_the_cameras(rng):
     with torch.no_grad():
         backbone.log_sharpness.fill_(4.0)
     matches = backbone.find_matches(raw)
-    assert matches.tree[0].of_a.trust.min() > 0.6
+    assert matches[0].of_a.trust.min() > 0.6
     refined = backbone.refine(
         raw, views.images, backbone.intrinsics(views, raw), matches, focal_is_free=True
     )

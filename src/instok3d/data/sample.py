@@ -32,7 +32,7 @@ class Sample:
     """One for each sample that can be told from all others of its data set and comes again:
     scene/views/number. Empty where frames are drawn anew every time."""
     frames: tuple[FrameChoice, ...] = ()
-    """Of its scene, one for each sample; empty where they have no order."""
+    """Which frames of its scene each sample holds; empty where nobody said."""
 
     def to(self, device: torch.device | str) -> "Sample":
         """The same sample with its tensors on another device."""

@@ -91,11 +91,14 @@ def join_groups(windows: Sequence[WindowGroups], num_patches: int) -> list[Int[T
     counts = [len(window.held) for window in windows]
     owner = list(range(sum(counts)))
     holds = [{number} for number, count in enumerate(counts) for _ in range(count)]
+    members = [[row] for row in owner]
     for first, second in _pairs_best_first(windows, num_patches):
         kept, gone = sorted((owner[first], owner[second]))
         if kept != gone and not holds[kept] & holds[gone]:
             holds[kept] |= holds[gone]
-            owner = [kept if one == gone else one for one in owner]
+            members[kept] += members[gone]
+            for row in members[gone]:
+                owner[row] = kept
     device = windows[0].held.device
     numbers = torch.as_tensor(owner, dtype=torch.long, device=device)
     return list(numbers.unique(return_inverse=True)[1].split(counts))
@@ -111,6 +114,9 @@ def _pairs_best_first(windows: Sequence[WindowGroups], num_patches: int) -> list
         for other in windows[number + 1 :]:
             at = column[other.patches]
             shared = at >= 0
+            if not shared.any():
+                later += len(other.held)
+                continue
             mine, theirs = window.held[:, at[shared]], other.held[:, shared]
             both = mine @ theirs.mT
             either = mine.sum(dim=1)[:, None] + theirs.sum(dim=1) - both

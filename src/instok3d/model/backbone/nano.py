@@ -31,7 +31,7 @@ from instok3d.model.backbone.pair_cameras import (
     solve_views,
     unsolved,
 )
-from instok3d.model.backbone.pair_matches import PairMatches, PhotoViews, ViewMatches, scale_focal
+from instok3d.model.backbone.pair_matches import PairMatches, PhotoViews, scale_focal
 from instok3d.types import Geometry, Views
 
 AT_FIRST, AFTER_REFINEMENT = BundleNoise(), BundleNoise(depth=0.05)
@@ -190,7 +190,7 @@ class NanoBackbone(GeometryBackbone):
         with torch.autocast(views.images.device.type, enabled=False):
             intrinsics = self.intrinsics(views, raw)
             solved_for = not (known.all() and keep_cameras)
-            matches = self.find_matches(raw) if solved_for else ViewMatches([], [])
+            matches = self.find_matches(raw) if solved_for else []
         refined, focal_is_free = None, views.intrinsics is None
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         if not known.all():
@@ -246,7 +246,7 @@ class NanoBackbone(GeometryBackbone):
         raw: RawGeometry,
         images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
-        matches: ViewMatches,
+        matches: list[PairMatches],
         *,
         focal_is_free: bool,
     ) -> RefinedDepth:
@@ -266,7 +266,7 @@ class NanoBackbone(GeometryBackbone):
         log_depths = log_depths + solved.deeper
         if self.refinement is not None:
             with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
-                aligned = align_pairs(matches.pairs, views, solved.cam_from_first)
+                aligned = align_pairs(matches, views, solved.cam_from_first)
                 evidence = gather_evidence(aligned, views, solved.cam_from_first)
             deeper, surer = self.refinement(
                 evidence,
@@ -297,17 +297,18 @@ class NanoBackbone(GeometryBackbone):
         return result
 
     @torch.no_grad()
-    def find_matches(self, raw: RawGeometry) -> ViewMatches:
+    def find_matches(self, raw: RawGeometry) -> list[PairMatches]:
         """Matches along each scene's tree of best matches, and of as many more pairs as views.
 
         With two views there is one pair, with three or four there are all.
         """
         tables = self.overlap_scores(raw)
         trees = [spanning_tree(table) for table in tables]
-        loops = [
-            best_loops(table, tree, len(table)) for table, tree in zip(tables, trees, strict=True)
+        edges = [
+            tree + best_loops(table, tree, len(table))
+            for table, tree in zip(tables, trees, strict=True)
         ]
-        return ViewMatches(self._match_pairs(raw, trees), self._match_pairs(raw, loops))
+        return self._match_pairs(raw, edges)
 
     def _match_pairs(
         self, raw: RawGeometry, edges_of_scenes: list[list[tuple[int, int]]]

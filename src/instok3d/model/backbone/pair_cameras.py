@@ -22,7 +22,6 @@ from instok3d.model.backbone.pair_matches import (
     PairMatches,
     PhotoViews,
     SolvedViews,
-    ViewMatches,
     matched_points,
     pair_sightings,
     thinned,
@@ -38,7 +37,7 @@ AGREEMENT_TOGETHER = 0.05
 
 @torch.no_grad()
 def solve_views(
-    matches: ViewMatches,
+    pairs: list[PairMatches],
     views: PhotoViews,
     *,
     depth_is_free: Float[Tensor, "batch view"],
@@ -53,19 +52,19 @@ def solve_views(
     which they are chained, and from there all views are adjusted together. Not differentiable.
 
     Args:
-        matches: Of all views.
+        pairs: Matches of enough pairs to link all views.
         views: The cameras come out in units of their depths.
         depth_is_free: 1 for views whose depth may change, 0 where it is known.
         focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
         noise: What to expect of the depths.
     """
-    if not matches.pairs:
+    if not pairs:
         first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
         return unsolved(views, first.clone())
-    if len(matches.pairs) == 1:
-        solved = unsolved(views, _register(matches.pairs[0], views))
+    if len(pairs) == 1:
+        solved = unsolved(views, _register(pairs[0], views))
         solved = _adjust(
-            thinned(matches.pairs, views),
+            thinned(pairs, views),
             views,
             solved,
             depth_is_free=depth_is_free,
@@ -73,10 +72,10 @@ def solve_views(
             noise=noise,
         )
     else:
-        solved = unsolved(views, _chain_pairs(matches, views, depth_is_free, noise))
+        solved = unsolved(views, _chain_pairs(pairs, views, depth_is_free, noise))
     for _ in range(ALIGNMENT_ROUNDS):
         solved = improve_views(
-            matches,
+            pairs,
             views,
             solved,
             depth_is_free=depth_is_free,
@@ -94,7 +93,7 @@ def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"])
 
 @torch.no_grad()
 def improve_views(
-    matches: ViewMatches,
+    pairs: list[PairMatches],
     views: PhotoViews,
     solved: SolvedViews,
     *,
@@ -105,21 +104,21 @@ def improve_views(
     """One round more: the matches aligned by what is solved, and everything solved from them.
 
     Args:
-        matches: Of all views, as they were found.
+        pairs: As they were found.
         views: As in `solve_views`.
         solved: Where to begin.
         depth_is_free: As in `solve_views`.
         focal_is_free: As in `solve_views`.
         noise: What to expect of the depths of `views`.
     """
-    if not matches.pairs:
+    if not pairs:
         return solved
-    pairs = align_pairs(thinned(matches.pairs, views), views.moved(solved), solved.cam_from_first)
+    aligned = align_pairs(thinned(pairs, views), views.moved(solved), solved.cam_from_first)
     noise = replace(noise, shared=ALIGNED_SHARED)
     if len(pairs) > 1:  # a pair alone has no others that could say it is wrong
         noise = replace(noise, agreement=AGREEMENT_TOGETHER)
     return _adjust(
-        pairs,
+        aligned,
         views,
         solved,
         depth_is_free=depth_is_free,
@@ -179,19 +178,19 @@ def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 
 
 
 def _chain_pairs(
-    matches: ViewMatches,
+    pairs: list[PairMatches],
     views: PhotoViews,
     depth_is_free: Float[Tensor, "batch view"],
     noise: BundleNoise,
 ) -> Float[Tensor, "batch view 4 4"]:
     """cam_from_first of every view: all pairs solved alone, the best-supported ones composed."""
     batch, count = views.depths.shape[:2]
-    pair, scenes, both = _as_scenes(matches.pairs, batch)
+    pair, scenes, both = _as_scenes(pairs, batch)
     alone = PhotoViews(
         views.images[scenes, both], views.depths[scenes, both], views.intrinsics[scenes, both]
     )
     solved = solve_views(
-        ViewMatches([pair], []),
+        [pair],
         alone,
         depth_is_free=depth_is_free[scenes, both],
         focal_is_free=False,
@@ -201,7 +200,7 @@ def _chain_pairs(
     b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
     found = []
     for scene in range(batch):
-        edges = [(int(p.views_a[scene]), int(p.views_b[scene])) for p in matches.pairs]
+        edges = [(int(p.views_a[scene]), int(p.views_b[scene])) for p in pairs]
         scores = views.depths.new_full((count, count), -1.0)  # never chosen: no such pair
         steps = {}
         for number, (a, b) in enumerate(edges):

@@ -32,21 +32,6 @@ class PairMatches:
 
 
 @dataclass(frozen=True)
-class ViewMatches:
-    """Which pairs of views were matched."""
-
-    tree: list[PairMatches]
-    """One pair fewer than there are views; view b of each is first reached by it."""
-    loops: list[PairMatches]
-    """More pairs that see much of the same."""
-
-    @property
-    def pairs(self) -> list[PairMatches]:
-        """Both."""
-        return self.tree + self.loops
-
-
-@dataclass(frozen=True)
 class SolvedViews:
     """Cameras of all views, their focal length and the coarse change of their depths."""
 
