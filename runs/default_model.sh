@@ -19,7 +19,7 @@ geometry_steps=16600
 many_views_steps=7000
 refinement_steps=1500
 tokenizer_steps=15000
-window_steps=2200
+window_steps=4250
 notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds); poor on real photos. Apache-2.0."
 
 mkdir -p "$folder"

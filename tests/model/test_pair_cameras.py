@@ -84,6 +84,18 @@ def test_exact_matches_give_the_cameras():
     torch.testing.assert_close(solve([pair(0, 1)], 2)[0], CAMERAS[:2], atol=1e-2, rtol=0)
 
 
+def test_all_matches_count_in_the_end():
+    """A quarter of them, all that the first rounds look at, are off by two pixels."""
+    pairs = [pair(0, 1), pair(1, 2), pair(0, 2)]
+    off = torch.zeros(16, 16)
+    off[::2, ::2] = 2.0
+    for one in pairs:
+        one.of_a.pixels[..., 0] += off.flatten()
+        one.of_b.pixels[..., 0] -= off.flatten()
+    for views, found in ((2, solve(pairs[:1], 2)), (3, solve(pairs, 3))):
+        torch.testing.assert_close(found[0], CAMERAS[:views], atol=2e-2, rtol=0)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_wrong_pair_is_gone_round(seed):
     """The pair that descriptors like best fits nothing: views are chained along pairs that do."""

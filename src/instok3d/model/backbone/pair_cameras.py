@@ -27,10 +27,15 @@ from instok3d.model.backbone.pair_matches import (
     thinned,
 )
 
-ALIGNMENT_ROUNDS = 5
-"""So many times matches are aligned by the cameras and the cameras solved from them."""
-ALIGNED_SHARED = 0.3
-"""As many independent matches an aligned one is worth; more than one that was not aligned."""
+THINNED_ROUNDS, FULL_ROUNDS = 3, 2
+"""So many times matches are aligned by the cameras and the cameras solved from them: a quarter of
+them until the cameras are nearly right, then all."""
+ROUNDS_ALONE = 5
+"""The same for a pair that is to be placed among others; a quarter of its matches is enough."""
+SHARED_ALONE = 0.1
+"""As many independent matches an aligned one of a pair alone is worth."""
+SHARED_TOGETHER = 0.3
+"""The same where other pairs see the same places: their errors are not those of its neighbours."""
 AGREEMENT_TOGETHER = 0.05
 """x/z, y/z at which a match agrees with cameras that came from aligned pairs."""
 
@@ -61,21 +66,21 @@ def solve_views(
     if not pairs:
         first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
         return unsolved(views, first.clone())
+    few = thinned(pairs, views)
     if len(pairs) == 1:
-        solved = unsolved(views, _register(pairs[0], views))
         solved = _adjust(
-            thinned(pairs, views),
+            few,
             views,
-            solved,
+            unsolved(views, _register(pairs[0], views)),
             depth_is_free=depth_is_free,
             focal_is_free=focal_is_free,
             noise=noise,
         )
     else:
         solved = unsolved(views, _chain_pairs(pairs, views, depth_is_free, noise))
-    for _ in range(ALIGNMENT_ROUNDS):
+    for matches in [few] * THINNED_ROUNDS + [pairs] * FULL_ROUNDS:
         solved = improve_views(
-            pairs,
+            matches,
             views,
             solved,
             depth_is_free=depth_is_free,
@@ -104,7 +109,7 @@ def improve_views(
     """One round more: the matches aligned by what is solved, and everything solved from them.
 
     Args:
-        pairs: As they were found.
+        pairs: As they were found, all matches or some.
         views: As in `solve_views`.
         solved: Where to begin.
         depth_is_free: As in `solve_views`.
@@ -113,10 +118,11 @@ def improve_views(
     """
     if not pairs:
         return solved
-    aligned = align_pairs(thinned(pairs, views), views.moved(solved), solved.cam_from_first)
-    noise = replace(noise, shared=ALIGNED_SHARED)
-    if len(pairs) > 1:  # a pair alone has no others that could say it is wrong
-        noise = replace(noise, agreement=AGREEMENT_TOGETHER)
+    aligned = align_pairs(pairs, views.moved(solved), solved.cam_from_first)
+    if len(pairs) > 1:
+        noise = replace(noise, shared=SHARED_TOGETHER, agreement=AGREEMENT_TOGETHER)
+    else:  # no other could say that it is wrong
+        noise = replace(noise, shared=SHARED_ALONE)
     return _adjust(
         aligned,
         views,
@@ -189,14 +195,15 @@ def _chain_pairs(
     alone = PhotoViews(
         views.images[scenes, both], views.depths[scenes, both], views.intrinsics[scenes, both]
     )
-    solved = solve_views(
-        [pair],
-        alone,
-        depth_is_free=depth_is_free[scenes, both],
-        focal_is_free=False,
-        noise=noise,
-    )
-    support = _support(pair, alone, solved, noise).view(-1, batch)
+    free = depth_is_free[scenes, both]
+    few = thinned([pair], alone)
+    solved = unsolved(alone, _register(pair, alone))
+    solved = _adjust(few, alone, solved, depth_is_free=free, focal_is_free=False, noise=noise)
+    for _ in range(ROUNDS_ALONE):
+        solved = improve_views(
+            few, alone, solved, depth_is_free=free, focal_is_free=False, noise=noise
+        )
+    support = _support(few, alone, solved, noise).view(-1, batch)
     b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
     found = []
     for scene in range(batch):
@@ -230,11 +237,11 @@ def _as_scenes(
 
 
 def _support(
-    pair: PairMatches, views: PhotoViews, solved: SolvedViews, noise: BundleNoise
+    pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, noise: BundleNoise
 ) -> Float[Tensor, " batch"]:
     """How many matches, aligned, lie where the cameras put them; wrong pairs have few of these."""
     views = views.moved(solved)
-    aligned = align_pairs(thinned([pair], views), views, solved.cam_from_first)
+    aligned = align_pairs(pairs, views, solved.cam_from_first)
     sightings = pair_sightings(aligned, views)
     there, here = (
         solved.cam_from_first[sightings.scenes, view] for view in (sightings.there, sightings.here)

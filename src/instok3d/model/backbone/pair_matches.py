@@ -116,7 +116,8 @@ def scale_focal(
 def thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
     """The matches of every second cell each way.
 
-    Those of neighbouring cells are wrong together: all of them say little more than a quarter.
+    Before they are aligned, those of neighbouring cells are wrong together: all of them say little
+    more than a quarter.
     """
     rows, columns = (size // MATCH_STRIDE for size in views.depths.shape[-2:])
     number = torch.arange(rows * columns, device=views.depths.device).view(rows, columns)
