@@ -1,6 +1,6 @@
 """Bundle adjustment of cameras and coarse depth: exact data, wrong depth, false pairs, no data."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -100,6 +100,27 @@ def test_exact_matches_bring_wrong_cameras_back_and_leave_the_depth(rng):
     )
     torch.testing.assert_close(cameras[0], true, atol=2e-3, rtol=0)
     torch.testing.assert_close(changes, torch.zeros(1, 3, 16), atol=5e-3, rtol=0)
+
+
+def test_any_number_of_threads_gives_the_same_bits(rng):
+    """Of so many pairs and nodes that threads could share out what adds them up."""
+    true = cameras_on_a_path(5)
+    pairs = [(a, b) for a in range(5) for b in range(a)]
+    sightings = sight(rng, true, pairs, torch.zeros(5, 16))
+    # Both ways of a pair one behind the other, so that both threads add to the same blocks.
+    order = torch.arange(2 * len(pairs)).view(2, -1).T.flatten()
+    sightings = Sightings(*(getattr(sightings, field.name)[order] for field in fields(sightings)))
+    start = rigid_from_twist(0.03 * torch.randn(5, 6, generator=rng)) @ true
+    start[0] = true[0]
+    threads, found = torch.get_num_threads(), []
+    try:
+        for count in (2, 2, 1):
+            torch.set_num_threads(count)
+            found.append(adjust_bundle(sightings, start[None], torch.ones(1, 5), (8, 8)))
+    finally:
+        torch.set_num_threads(threads)
+    for again in found[1:]:
+        assert all(torch.equal(*both) for both in zip(found[0], again, strict=True))
 
 
 def test_wrong_depth_is_found_together_with_the_cameras(rng):

@@ -223,15 +223,12 @@ def _normal_equations(
     twist, of_here, of_there = errors.by_twist, errors.by_depth_here, errors.by_depth_there
     of_focal = errors.by_focal
 
-    def of_nodes(values: Float[Tensor, "sighting point"], hats: Tensor, other: Tensor) -> Tensor:
-        return (hats * values[..., None]).mT @ other
-
     twists = twist.flatten(1, 2).mT @ twist.flatten(1, 2)
     cross_here = (twist * of_here[..., None]).sum(2).mT @ hats_here
     cross_there = (twist * of_there[..., None]).sum(2).mT @ hats_there
-    nodes_here = of_nodes(of_here.square().sum(-1), hats_here, hats_here)
-    nodes_there = of_nodes(of_there.square().sum(-1), hats_there, hats_there)
-    nodes_mixed = of_nodes((of_here * of_there).sum(-1), hats_here, hats_there)
+    nodes_here = (hats_here * of_here.square().sum(-1)[..., None]).mT @ hats_here
+    nodes_there = (hats_there * of_there.square().sum(-1)[..., None]).mT @ hats_there
+    nodes_mixed = (hats_here * (of_here * of_there).sum(-1)[..., None]).mT @ hats_there
     twist_gradient = (twist * errors.values[..., None]).sum((1, 2))
     gradient_here = ((of_here * errors.values).sum(-1)[:, None] @ hats_here)[:, 0]
     gradient_there = ((of_there * errors.values).sum(-1)[:, None] @ hats_there)[:, 0]
@@ -243,33 +240,34 @@ def _normal_equations(
     # A small motion of camera here moves what is seen as the opposite motion of camera there,
     # brought over to it.
     carry = -_adjoint(there_from_here)
-    hessian = twists.new_zeros(*cameras.shape[:2], cameras.shape[1], *[6 + changes.shape[-1]] * 2)
-    gradient = twists.new_zeros(*cameras.shape[:2], 6 + changes.shape[-1])
-
-    def add(a: Tensor, b: Tensor, blocks: tuple[Tensor, Tensor, Tensor, Tensor]) -> None:
+    batch, count, parts_of_view = *cameras.shape[:2], 6 + changes.shape[-1]
+    hessian = twists.new_zeros(batch, count, count, parts_of_view, parts_of_view)
+    gradient = twists.new_zeros(batch, count, parts_of_view)
+    of_there_alone = (twists, cross_there, cross_there.mT, nodes_there)
+    carried = carry.mT @ twists
+    of_here_alone = (carried @ carry, carry.mT @ cross_here, cross_here.mT @ carry, nodes_here)
+    mixed = (carried, carry.mT @ cross_there, cross_here.mT, nodes_mixed)
+    for a, b, blocks in (
+        (there, there, of_there_alone),
+        (here, here, of_here_alone),
+        (here, there, mixed),
+        (there, here, (mixed[0].mT, mixed[2].mT, mixed[1].mT, mixed[3].mT)),
+    ):
         top, bottom = torch.cat(blocks[:2], dim=-1), torch.cat(blocks[2:], dim=-1)
-        hessian.index_put_((scenes, a, b), torch.cat([top, bottom], dim=-2), accumulate=True)
-
-    add(there, there, (twists, cross_there, cross_there.mT, nodes_there))
-    add(
-        here,
-        here,
-        (carry.mT @ twists @ carry, carry.mT @ cross_here, cross_here.mT @ carry, nodes_here),
-    )
-    mixed = (carry.mT @ twists, carry.mT @ cross_there, cross_here.mT, nodes_mixed)
-    add(here, there, mixed)
-    add(there, here, (mixed[0].mT, mixed[2].mT, mixed[1].mT, mixed[3].mT))
-
-    def carried(of_there: Tensor) -> Tensor:
-        return (carry.mT @ of_there[..., None])[..., 0]
+        block = torch.cat([top, bottom], dim=-2)
+        # Not index_put_, which adds in any order where there are several threads.
+        hessian.flatten(0, 2).index_add_(0, (scenes * count + a) * count + b, block)
 
     cross = torch.zeros_like(gradient)
+    carried_gradient = (carry.mT @ twist_gradient[..., None])[..., 0]
+    carried_focal = (carry.mT @ twist_focal[..., None])[..., 0]
     for view, parts, focal_parts in (
         (there, (twist_gradient, gradient_there), (twist_focal, focal_there)),
-        (here, (carried(twist_gradient), gradient_here), (carried(twist_focal), focal_here)),
+        (here, (carried_gradient, gradient_here), (carried_focal, focal_here)),
     ):
-        gradient.index_put_((scenes, view), torch.cat(parts, dim=-1), accumulate=True)
-        cross.index_put_((scenes, view), torch.cat(focal_parts, dim=-1), accumulate=True)
+        row = scenes * count + view
+        gradient.flatten(0, 1).index_add_(0, row, torch.cat(parts, dim=-1))
+        cross.flatten(0, 1).index_add_(0, row, torch.cat(focal_parts, dim=-1))
     nothing = gradient.new_zeros(len(cameras))
     return _Equations(
         hessian,
@@ -343,14 +341,8 @@ def _point_errors(
     root_xy = inverse[..., 0, 1] / root_x
     root_y = (inverse[..., 1, 1] - root_xy.square()).clamp_min(1e-9).sqrt()
     share = noise.shared * sightings.trust * front
-
-    def scaled(rows: Tensor) -> Tensor:
-        """Rows [sighting point 3 k] in units of their deviation."""
-        x, y, log_depth = rows.unbind(-2)
-        along_x = root_x[..., None] * x + root_xy[..., None] * y
-        return torch.stack([along_x, root_y[..., None] * y, log_depth / noise.mutual_depth], dim=-2)
-
-    values = scaled(values[..., None])[..., 0]
+    roots = torch.stack([root_x, root_xy, root_y], dim=-1)
+    values = _in_deviations(values[..., None], roots, noise)[..., 0]
     of_ray = (share / (1 + values[..., :2].square().sum(-1) / noise.outlier**2)).sqrt()
     of_mutual = (share / (1 + values[..., 2].square() / noise.outlier**2)).sqrt()
     weight = torch.stack([of_ray, of_ray, of_mutual], dim=-1)
@@ -358,10 +350,23 @@ def _point_errors(
     nothing[..., 2] = -1 / noise.mutual_depth
     return _PointErrors(
         values * weight,
-        scaled(by_twist) * weight[..., None],
-        scaled(by_depth_here[..., None])[..., 0] * weight,
+        _in_deviations(by_twist, roots, noise) * weight[..., None],
+        _in_deviations(by_depth_here[..., None], roots, noise)[..., 0] * weight,
         nothing * weight,
-        scaled(by_focal[..., None])[..., 0] * weight,
+        _in_deviations(by_focal[..., None], roots, noise)[..., 0] * weight,
+    )
+
+
+def _in_deviations(
+    rows: Float[Tensor, "sighting point 3 column"],
+    roots: Float[Tensor, "sighting point 3"],
+    noise: BundleNoise,
+) -> Float[Tensor, "sighting point 3 column"]:
+    """Projections and log depth in units of their deviation; root is [[x, xy], [0, y]]."""
+    x, y, log_depth = rows.unbind(-2)
+    root_x, root_xy, root_y = roots[..., None].unbind(-2)
+    return torch.stack(
+        [root_x * x + root_xy * y, root_y * y, log_depth / noise.mutual_depth], dim=-2
     )
 
 

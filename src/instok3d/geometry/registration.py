@@ -100,23 +100,13 @@ def _gauss_newton_step(
     rotation, translation = b_from_a[:, :3, :3], b_from_a[:, :3, 3]
     identity = torch.eye(3, dtype=points_a.dtype, device=points_a.device)
 
-    def equations(seen: Tensor, rays: Tensor, weights: Tensor, motion: Tensor) -> tuple:
-        """Normal equations of one direction; motion = d seen / d twist, [batch, point, 3, 6]."""
-        front = seen[..., 2] > 0.05
-        safe = torch.where(front[..., None], seen, torch.ones_like(seen))
-        residual = safe[..., :2] / safe[..., 2:] - rays
-        robust = weights * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
-        jacobian = _projection_jacobian(safe) @ motion
-        flat = (jacobian * robust[..., None, None]).flatten(1, 2)
-        return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])
-
     seen_b = points_a @ rotation.mT + translation[:, None]
     motion_b = torch.cat([identity.expand(*seen_b.shape[:2], 3, 3), -skew(seen_b)], dim=-1)
     seen_a = (points_b - translation[:, None]) @ rotation
     motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -skew(points_b)], dim=-1)
     motion_a = -(rotation.mT[:, None] @ motion_a)
-    hessian_b, gradient_b = equations(seen_b, rays_in_b, weights_a, motion_b)
-    hessian_a, gradient_a = equations(seen_a, rays_in_a, weights_b, motion_a)
+    hessian_b, gradient_b = _one_way(seen_b, rays_in_b, weights_a, motion_b, inlier_radius)
+    hessian_a, gradient_a = _one_way(seen_a, rays_in_a, weights_b, motion_a, inlier_radius)
     hessian = hessian_a + hessian_b
     damping = 1e-4 * hessian.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-6)
     hessian = hessian + damping[:, None, None] * torch.eye(6).to(hessian)
@@ -124,6 +114,23 @@ def _gauss_newton_step(
     # A step of more than 30 degrees or one unit of depth is a sign of too few matches: shorten it.
     twist = twist / (twist.norm(dim=-1, keepdim=True) / 0.5).clamp_min(1.0)
     return rigid_from_twist(twist) @ b_from_a
+
+
+def _one_way(
+    seen: Float[Tensor, "batch point 3"],
+    rays: Float[Tensor, "batch point 2"],
+    weights: Float[Tensor, "batch point"],
+    motion: Float[Tensor, "batch point 3 6"],
+    inlier_radius: float,
+) -> tuple[Float[Tensor, "batch 6 6"], Float[Tensor, "batch 6 1"]]:
+    """Normal equations of one direction; motion = d seen / d twist."""
+    front = seen[..., 2] > 0.05
+    safe = torch.where(front[..., None], seen, torch.ones_like(seen))
+    residual = safe[..., :2] / safe[..., 2:] - rays
+    robust = weights * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
+    jacobian = _projection_jacobian(safe) @ motion
+    flat = (jacobian * robust[..., None, None]).flatten(1, 2)
+    return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])
 
 
 def spanning_tree(scores: Float[Tensor, "view view"]) -> list[tuple[int, int]]:
