@@ -72,7 +72,7 @@ def test_photos_become_a_scene(
 
 
 def test_same_photos_and_seed_give_the_same_bytes(tmp_path: Path, model: str):
-    photos = made_photos(tmp_path / "photos", 1)
+    photos = made_photos(tmp_path / "photos", 4)
     for name in ("a.itk", "b.itk"):
         assert main(["reconstruct", str(photos), "-o", str(tmp_path / name), "--model", model]) == 0
     first, second = (
