@@ -6,7 +6,7 @@
 # Everything goes into FOLDER, the model into FOLDER/default_model.safetensors. Stop it at any time
 # and run it again: finished rooms are kept and training goes on from the newest checkpoint.
 # Times on one core of an Intel Xeon with AMX: rooms 2.2 h, geometry 5 h, refinement 0.3 h,
-# tokenizer 9 h, evaluation 0.3 h. The shipped model is this recipe, not these bits: its runs took
+# tokenizer 11 h, evaluation 0.3 h. The shipped model is this recipe, not these bits: its runs took
 # in more rooms on the way and were begun anew from each other's weights (docs/models.md).
 set -euo pipefail
 

@@ -105,8 +105,12 @@ def _gauss_newton_step(
     seen_a = (points_b - translation[:, None]) @ rotation
     motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -skew(points_b)], dim=-1)
     motion_a = -(rotation.mT[:, None] @ motion_a)
-    hessian_b, gradient_b = _one_way(seen_b, rays_in_b, weights_a, motion_b, inlier_radius)
-    hessian_a, gradient_a = _one_way(seen_a, rays_in_a, weights_b, motion_a, inlier_radius)
+    hessian_b, gradient_b = _equations_one_way(
+        seen_b, rays_in_b, weights_a, motion_b, inlier_radius
+    )
+    hessian_a, gradient_a = _equations_one_way(
+        seen_a, rays_in_a, weights_b, motion_a, inlier_radius
+    )
     hessian = hessian_a + hessian_b
     damping = 1e-4 * hessian.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-6)
     hessian = hessian + damping[:, None, None] * torch.eye(6).to(hessian)
@@ -116,14 +120,22 @@ def _gauss_newton_step(
     return rigid_from_twist(twist) @ b_from_a
 
 
-def _one_way(
+def _equations_one_way(
     seen: Float[Tensor, "batch point 3"],
     rays: Float[Tensor, "batch point 2"],
     weights: Float[Tensor, "batch point"],
     motion: Float[Tensor, "batch point 3 6"],
     inlier_radius: float,
 ) -> tuple[Float[Tensor, "batch 6 6"], Float[Tensor, "batch 6 1"]]:
-    """Normal equations of one direction; motion = d seen / d twist."""
+    """Hessian and gradient over the twist, of the points that one camera sees of the other.
+
+    Args:
+        seen: The points, in the frame of the camera that sees them.
+        rays: x/z, y/z at which it sees them.
+        weights: Trust in each.
+        motion: Derivative of seen by the twist.
+        inlier_radius: As in `register_pair`.
+    """
     front = seen[..., 2] > 0.05
     safe = torch.where(front[..., None], seen, torch.ones_like(seen))
     residual = safe[..., :2] / safe[..., 2:] - rays
