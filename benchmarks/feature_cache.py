@@ -17,13 +17,13 @@ import torch
 import tyro
 
 from instok3d.data.batches import SceneBatches
-from instok3d.data.rooms import RoomDataset
 from instok3d.data.sample import Sample
 from instok3d.model.files import load_model
+from instok3d.rooms import RoomDataset
+from instok3d.training.cache.writing import fill_cache
 from instok3d.training.config import preset
-from instok3d.training.feature_writing import fill_cache
 from instok3d.training.held_out import split_scenes
-from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
 
 
 @dataclass(frozen=True)

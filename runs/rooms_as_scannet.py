@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from instok3d.data.rooms import RoomDataset
-from instok3d.data.rooms.classes import CLASSES, NYU40
-from instok3d.data.rooms.dataset import RoomScene
-from instok3d.data.scannet.id_maps import Kind, write_id_maps
-from instok3d.data.scannet.labels import TABLE
-from instok3d.data.scannet.sens import RecordedFrame, write_sens
-from instok3d.data.scannet.splits import TEST_POOL
+from instok3d.datasets.scannet.id_maps import Kind, write_id_maps
+from instok3d.datasets.scannet.labels import TABLE
+from instok3d.datasets.scannet.sens import RecordedFrame, write_sens
+from instok3d.datasets.scannet.splits import TEST_POOL
 from instok3d.files import replacing, write_json
+from instok3d.rooms import RoomDataset
+from instok3d.rooms.classes import CLASSES, NYU40
+from instok3d.rooms.dataset import RoomScene
 
 RAW_LABELS = {name: number for number, name in enumerate(CLASSES, 1)}
 """The rooms' classes, where ScanNet has some 600 of its own."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from PIL import Image, ImageDraw
 
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
+from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.model.files import save_model
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig

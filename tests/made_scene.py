@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from instok3d.data.pixel_map import fit_pixels
+from instok3d.photos.pixel_map import fit_pixels
 from instok3d.scene.from_tokens import scene_from_tokens
 from instok3d.scene.scene import Provenance, Scene, SceneView
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups

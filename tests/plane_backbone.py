@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
-from instok3d.model.backbone.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.types import Geometry, Views
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from instok3d.data.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
-from instok3d.data.prepared.format import Split
+from instok3d.datasets.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
+from instok3d.datasets.prepared.format import Split
 
 
 def made_frame(

@@ -16,7 +16,7 @@ from instok3d.training import distributed
 from instok3d.training.checkpoint import has_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.loop import train
-from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
 from instok3d.training.update import NonFiniteLossError
 from toy_stage import ToyStage
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from instok3d.data.scannet.id_maps import write_id_maps
-from instok3d.data.scannet.sens import RecordedFrame, write_sens
+from instok3d.datasets.scannet.id_maps import write_id_maps
+from instok3d.datasets.scannet.sens import RecordedFrame, write_sens
 
 DEPTH_SIZE = (48, 64)
 COLOR_SIZE = (98, 130)

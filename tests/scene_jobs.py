@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-from instok3d.data.preparation import SceneJob, plan_preparation, prepare
-from instok3d.data.prepared import DroppedFrame, PreparedFrame, SceneInfo
+from instok3d.datasets.preparation import SceneJob, plan_preparation, prepare
+from instok3d.datasets.prepared import DroppedFrame, PreparedFrame, SceneInfo
 from prepared_scenes import made_frame
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from instok3d.model.backbone.vggt import VGGT, VGGTConfig
+from instok3d.backbones.vggt import VGGT, VGGTConfig
 
 TINY_VGGT = VGGTConfig(
     img_size=64, patch_size=16, embed_dim=32, depth=2, num_heads=2, dino_depth=1,

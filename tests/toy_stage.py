@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from instok3d.data.batches import BatchConfig
 from instok3d.data.sample import Sample
 from instok3d.training.config import TrainConfig, preset
-from instok3d.training.stages import StepLoss
+from instok3d.training.stages.stage import StepLoss
 
 TINY = replace(
     preset("nano-geometry"),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from instok3d.data.pseudo_labels.interfaces import ProposedMasks, TrackedMask
+from instok3d.datasets.pseudo_labels.interfaces import ProposedMasks, TrackedMask
 
 WHOLE = "whole"
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from colmap_models import write_colmap
 from instok3d.cli import main
-from instok3d.data.prepared import read_index
+from instok3d.datasets.prepared import read_index
 
 
 def colmap_scene(folder: Path, images: str) -> Path:

@@ -7,8 +7,8 @@ import torch
 from safetensors.torch import load_file
 
 from instok3d.cli import main
-from instok3d.model.weights import find_entry
-from instok3d.model.weights.cache import place_of
+from instok3d.weights import find_entry
+from instok3d.weights.cache import place_of
 
 
 @pytest.fixture(autouse=True)

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
+from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
 from instok3d.files import write_safetensors
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 
 SETTINGS = [
     "--data", "rooms", "--stage.backbone.width", "64", "--stage.backbone.layers", "1",

@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from flat_rooms import flat_room, oracle
-from instok3d.data.prepared import (
+from instok3d.datasets.prepared import (
     PreparedFrame,
     PreparedScenes,
     SceneInfo,
     refresh_index,
     write_scene,
 )
-from instok3d.data.prepared.format import Dataset
+from instok3d.datasets.prepared.format import Dataset
 from instok3d.evaluation.dataset_protocols import (
     DatasetProtocol,
     frame_chooser,

@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from flat_rooms import flat_room
+from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
 from instok3d.cli.evaluate import _short
-from instok3d.data.rooms.scene import RenderedScene
-from instok3d.data.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
 from instok3d.evaluation.report import KEYS
 from instok3d.files import write_json
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 from instok3d.model.files import save_model
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.rooms.scene import RenderedScene
+from instok3d.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
 
 SEED = 2_000_000
 

@@ -6,9 +6,9 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from instok3d.backbones.nano.backbone import NanoConfig
+from instok3d.backbones.registry import BACKBONES, BackboneKind
 from instok3d.model import files
-from instok3d.model.backbone.nano import NanoConfig
-from instok3d.model.backbone.registry import BACKBONES, BackboneKind
 from instok3d.model.files import (
     MissingWeightsError,
     file_sha256,

@@ -4,10 +4,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from instok3d.backbones.depth_anything3 import DepthAnything3Config
+from instok3d.backbones.nano.backbone import NanoConfig
+from instok3d.backbones.registry import BACKBONES, build_backbone
 from instok3d.model import available_memory, memory
-from instok3d.model.backbone.depth_anything3 import DepthAnything3Config
-from instok3d.model.backbone.nano import NanoConfig
-from instok3d.model.backbone.registry import BACKBONES, build_backbone
 from instok3d.model.memory import (
     NotEnoughMemoryError,
     Work,
@@ -90,7 +90,7 @@ def test_more_of_anything_never_takes_less():
 
 @pytest.mark.skipif("vggt" not in BACKBONES, reason="VGGT is no backbone of this version")
 def test_paper_sizes_take_gigabytes():
-    from instok3d.model.backbone.vggt import PAPER_VGGT
+    from instok3d.backbones.vggt import PAPER_VGGT
 
     work = Work(2, 256, 256)
     whole, own = count_parameters(PAPER_VGGT, PAPER)

@@ -26,8 +26,8 @@ def test_counting_imports_no_compiler():
     # Of torch's own symbolic mathematics, 80 MB and seconds, nothing is needed to count.
     code = (
         "import sys; from instok3d.model.memory import count_parameters as c\n"
-        "from instok3d.model.backbone.nano import NanoConfig as N\n"
-        "from instok3d.model.backbone.vggt import PAPER_VGGT as V\n"
+        "from instok3d.backbones.nano.backbone import NanoConfig as N\n"
+        "from instok3d.backbones.vggt import PAPER_VGGT as V\n"
         "from instok3d.model.tokenizer import PAPER as P, TokenizerConfig as T\n"
         "assert c(N(), T())[0] > 1e7 and c(V, P)[0] > 1e9\n"
         "assert 'sympy' not in sys.modules and 'torch._dynamo' not in sys.modules"

@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
-from instok3d.model.backbone.nano import NanoBackbone, NanoConfig
 from instok3d.objectives.geometry import geometry_loss, true_matches
 from instok3d.types import Views
 

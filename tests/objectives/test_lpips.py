@@ -8,10 +8,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from instok3d.model.weights import MissingWeightsError, cache, find_entry
-from instok3d.model.weights.cache import place_of
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.objectives.lpips_conversion import convert_lpips
+from instok3d.weights import MissingWeightsError, cache, find_entry
+from instok3d.weights.cache import place_of
 
 
 def a_checkpoint(trunk: str) -> dict:

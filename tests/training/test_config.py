@@ -13,7 +13,7 @@ from instok3d.training.config import (
     to_json,
     write_config,
 )
-from instok3d.training.tokenizer_stage import TokenizerStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 import processes
-from instok3d.model.backbone.nano import NanoConfig
+from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.distributed import Processes, joined_processes, share
 from instok3d.training.run_log import read_metrics
-from instok3d.training.tokenizer_stage import TokenizerStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStageConfig
 from processes import run_processes
 from toy_stage import TINY, ToyStage
 

@@ -10,9 +10,9 @@ import pytest
 
 from flat_rooms import flat_room
 from instok3d.cli import main
-from instok3d.data.rooms.scene import RenderedScene
-from instok3d.data.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
 from instok3d.files import write_json
+from instok3d.rooms.scene import RenderedScene
+from instok3d.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.run_log import read_metrics
 

@@ -6,17 +6,17 @@ import pytest
 import torch
 
 from fake_rooms import FakeRooms
+from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.data.batches import BatchConfig, SceneBatches
-from instok3d.model.backbone.nano import NanoConfig
 from instok3d.model.files import load_model, read_card
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.training.config import preset
 from instok3d.training.export import export_model
-from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
 from instok3d.training.loop import train
 from instok3d.training.run_log import read_metrics
-from instok3d.training.tokenizer_stage import TokenizerStage, TokenizerStageConfig
+from instok3d.training.stages.geometry import GeometryStage, GeometryStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
 
 BACKBONE = NanoConfig(width=64, layers=1, match_channels=128)
 TOKENIZER = TokenizerConfig(

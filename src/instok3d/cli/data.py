@@ -36,7 +36,7 @@ def rooms(
         workers: Processes; one a free core.
         level: How hard the rooms are; mix is 30 % easy, 50 % medium, 20 % hard.
     """
-    from instok3d.data.rooms.generate import generate_rooms
+    from instok3d.rooms.generate import generate_rooms
 
     report = generate_rooms(
         output, _seed_range(seeds), resolution=resolution, level=level, workers=workers
@@ -64,9 +64,9 @@ def preview(
     from PIL import Image
 
     from instok3d.cli.targets import check_file
-    from instok3d.data.rooms import RoomDataset
-    from instok3d.data.rooms.preview import contact_sheet
     from instok3d.files import replacing
+    from instok3d.rooms import RoomDataset
+    from instok3d.rooms.preview import contact_sheet
 
     path = folder / "preview.png" if output is None else output
     dataset = RoomDataset(folder)

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from instok3d.data.pseudo_labels.writing import Clip, LabelConfig, Labelled, LabelModel
+    from instok3d.datasets.pseudo_labels.writing import Clip, LabelConfig, Labelled, LabelModel
 
 FAILED = 2
 """Exit code when scenes could not be labelled."""
@@ -51,10 +51,10 @@ def masks(
         json: Print the figures of every clip as JSON.
     """
     from instok3d.cli.progress import plain_warnings
-    from instok3d.data.pseudo_labels.association import AssociationConfig
-    from instok3d.data.pseudo_labels.automatic import AutomaticConfig
-    from instok3d.data.pseudo_labels.sam2 import Sam2
-    from instok3d.data.pseudo_labels.writing import LabelConfig
+    from instok3d.datasets.pseudo_labels.association import AssociationConfig
+    from instok3d.datasets.pseudo_labels.automatic import AutomaticConfig
+    from instok3d.datasets.pseudo_labels.sam2 import Sam2
+    from instok3d.datasets.pseudo_labels.writing import LabelConfig
 
     automatic = AutomaticConfig(points_per_side=points_per_side)
     association = AssociationConfig(keyframe_step=keyframe_step, reentry_frames=reentry_frames)
@@ -71,9 +71,9 @@ def _clips(
     folder: Path, output: Path | None, model: str, wanted: tuple[str, ...]
 ) -> "tuple[dict[str, Clip], dict[str, str]]":
     """The clips of a folder by name, and what is wrong with those that cannot be read."""
-    from instok3d.data.image_files import find_images
-    from instok3d.data.prepared import scene_folders
-    from instok3d.data.pseudo_labels.writing import footage_clip, scene_clip
+    from instok3d.datasets.prepared import scene_folders
+    from instok3d.datasets.pseudo_labels.writing import footage_clip, scene_clip
+    from instok3d.photos.image_files import find_images
 
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}")
@@ -106,7 +106,7 @@ def _clips(
 
 
 def _weights_folder(given: Path | None, size: str) -> Path:
-    from instok3d.model.weights import weights_path
+    from instok3d.weights import weights_path
 
     return weights_path(f"sam2.1-{size}").parent if given is None else given
 
@@ -115,7 +115,7 @@ def _label_all(
     clips: "dict[str, Clip]", model: "LabelModel", config: "LabelConfig", *, overwrite: bool
 ) -> "tuple[dict[str, Labelled], dict[str, str]]":
     """Label clip after clip; what went wrong with one does not stop the others."""
-    from instok3d.data.pseudo_labels.writing import label
+    from instok3d.datasets.pseudo_labels.writing import label
 
     done: dict[str, Labelled] = {}
     failed: dict[str, str] = {}

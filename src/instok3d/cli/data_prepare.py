@@ -10,14 +10,14 @@ from tqdm import tqdm
 from tyro.conf import Positional, arg, subcommand
 
 from instok3d.cli.progress import plain_warnings
-from instok3d.data.colmap_scenes import ColmapSource, MipNeRF360Source
-from instok3d.data.footage import FootageSource
-from instok3d.data.preparation import PreparationReport, plan_preparation
-from instok3d.data.preparation import prepare as prepare_scenes
-from instok3d.data.prepared import Fault, refresh_index, scene_folders
-from instok3d.data.prepared.verifying import verify_index, verify_scene
-from instok3d.data.re10k import Re10kSource
-from instok3d.data.scannet.source import ScanNetSource
+from instok3d.datasets.colmap_scenes import ColmapSource, MipNeRF360Source
+from instok3d.datasets.footage import FootageSource
+from instok3d.datasets.preparation import PreparationReport, plan_preparation
+from instok3d.datasets.preparation import prepare as prepare_scenes
+from instok3d.datasets.prepared import Fault, refresh_index, scene_folders
+from instok3d.datasets.prepared.verifying import verify_index, verify_scene
+from instok3d.datasets.re10k import Re10kSource
+from instok3d.datasets.scannet.source import ScanNetSource
 
 FAILED = 2
 """Exit code when scenes could not be prepared or files are missing or damaged."""

@@ -66,9 +66,9 @@ def _python() -> list[Finding]:
 def _memory() -> Finding:
     import torch
 
+    from instok3d.backbones.registry import BACKBONES
+    from instok3d.backbones.vggt import PAPER_VGGT
     from instok3d.model.available_memory import available_bytes, resident_bytes
-    from instok3d.model.backbone.registry import BACKBONES
-    from instok3d.model.backbone.vggt import PAPER_VGGT
     from instok3d.model.files import DEFAULT_MODEL, read_sizes
     from instok3d.model.memory import Work, largest_view_count
     from instok3d.model.tokenizer import PAPER

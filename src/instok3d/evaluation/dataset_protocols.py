@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from instok3d.data.batches import NoBaselineError, make_sample
-from instok3d.data.prepared import PreparedScenes
 from instok3d.data.view_sampling import (
     FrameChoice,
     eight_view_protocol,
     lsm_protocol,
     mipnerf360_protocol,
 )
+from instok3d.datasets.prepared import PreparedScenes
 from instok3d.evaluation.protocols import ProtocolScene
 
 DatasetProtocol = Literal["scannet-2view", "scannet-8view", "re10k-2view", "mipnerf360-2view"]

@@ -11,19 +11,19 @@ from typing import Any, NamedTuple
 
 import torch
 
+from instok3d.backbones.base import GeometryBackbone
+from instok3d.backbones.depth_anything3 import PATCH as DA3_PATCH
+from instok3d.backbones.depth_anything3 import SIZES as DA3_SIZES
+from instok3d.backbones.depth_anything3 import DepthAnything3Config
+from instok3d.backbones.nano.backbone import NanoConfig
+from instok3d.backbones.nano.matching import MATCH_STRIDE
+from instok3d.backbones.registry import build_backbone
+from instok3d.backbones.vggt.config import VGGTConfig
+from instok3d.backbones.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.model.available_memory import available_bytes, resident_bytes
-from instok3d.model.backbone.base import GeometryBackbone
-from instok3d.model.backbone.depth_anything3 import PATCH as DA3_PATCH
-from instok3d.model.backbone.depth_anything3 import SIZES as DA3_SIZES
-from instok3d.model.backbone.depth_anything3 import DepthAnything3Config
-from instok3d.model.backbone.matching import MATCH_STRIDE
-from instok3d.model.backbone.nano import NanoConfig
-from instok3d.model.backbone.registry import build_backbone
-from instok3d.model.backbone.vggt.config import VGGTConfig
-from instok3d.model.backbone.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.model.on_paper import on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
-from instok3d.model.windows import window_lengths
+from instok3d.model.views.windows import window_lengths
 from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from instok3d.model.backbone.base import GeometryBackbone
+from instok3d.backbones.base import GeometryBackbone
 from instok3d.model.gaussian_head import SH_CONSTANT, harmonic_damping
 from instok3d.types import Gaussians, Geometry, Views
 

@@ -4,15 +4,15 @@ from dataclasses import dataclass, field, replace
 
 from torch import nn
 
+from instok3d.backbones.base import GeometryBackbone
 from instok3d.model.anchors import AnchorDecoder, AnchorPlacement
-from instok3d.model.backbone.base import GeometryBackbone
 from instok3d.model.context import ContextFusion
-from instok3d.model.free_space import thin_out_free_space
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.model.grouping import Assignment, GroupDecoder
-from instok3d.model.joining import collate_scenes, join_windows
 from instok3d.model.transformer import Decoder
-from instok3d.model.windows import cut_window, middle_windows, view_windows
+from instok3d.model.views.free_space import thin_out_free_space
+from instok3d.model.views.joining import collate_scenes, join_windows
+from instok3d.model.views.windows import cut_window, middle_windows, view_windows
 from instok3d.types import Geometry, TokenGroups, Views
 
 
@@ -28,7 +28,7 @@ class TokenizerConfig:
     """L; the paper has 100. Of each window, where there are more views than window_views."""
     window_views: int = 4
     """More views than this are taken in overlapping windows of so many and in pairs, whose groups
-    are joined (`model.windows`); 0 takes any number at once, as the paper does."""
+    are joined (`model.views.windows`); 0 takes any number at once, as the paper does."""
     anchor_layers: int = 4
     """Layers of D_anchor; the paper has 6."""
     group_layers: int = 3

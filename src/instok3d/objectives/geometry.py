@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from instok3d.backbones.nano.backbone import NanoBackbone, RawGeometry
+from instok3d.backbones.nano.matching import MATCH_STRIDE
 from instok3d.geometry.cameras import invert_rigid, project, transform_points
-from instok3d.model.backbone.matching import MATCH_STRIDE
-from instok3d.model.backbone.nano import NanoBackbone, RawGeometry
 from instok3d.types import Cameras, Views
 
 

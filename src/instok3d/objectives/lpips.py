@@ -8,7 +8,7 @@ from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from instok3d.model.weights import weights_path
+from instok3d.weights import weights_path
 
 Trunk = Literal["vgg16", "alexnet"]
 

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from instok3d.model.weights.writing import write_tensors
 from instok3d.objectives.lpips import Lpips, Trunk
+from instok3d.weights.writing import write_tensors
 
 ALLOWED = {
     ("numpy.core.multiarray", "_reconstruct"),

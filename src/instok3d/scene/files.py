@@ -22,10 +22,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from instok3d.data.pixel_map import PixelMap
 from instok3d.files import replacing_folder, write_safetensors
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.model.files import file_sha256
+from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.previews import write_previews
 from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView

@@ -10,10 +10,10 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from instok3d import __version__
-from instok3d.data.photos import PhotoSet, read_photos
 from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_card, read_sizes
 from instok3d.model.memory import Work, check_memory
 from instok3d.model.tokenizer import Tokenizer
+from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.scene.files import load_scene
 from instok3d.scene.from_tokens import scene_from_tokens
 from instok3d.scene.scene import Provenance, Scene, SceneView

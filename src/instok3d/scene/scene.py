@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from instok3d.data.pixel_map import PixelMap
 from instok3d.geometry.cameras import invert_rigid, resize_intrinsics
+from instok3d.photos.pixel_map import PixelMap
 from instok3d.render import render
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import SceneObject

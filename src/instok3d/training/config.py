@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from instok3d.backbones.vggt import PAPER_VGGT
 from instok3d.data.batches import BatchConfig
 from instok3d.files import write_json
-from instok3d.model.backbone.vggt import PAPER_VGGT
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
-from instok3d.training.adapt_stage import AdaptStageConfig
 from instok3d.training.distributed import Strategy
-from instok3d.training.geometry_stage import GeometryStageConfig
-from instok3d.training.tokenizer_stage import TokenizerStageConfig
+from instok3d.training.stages.adapt import AdaptStageConfig
+from instok3d.training.stages.geometry import GeometryStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from torch.distributed.tensor import DTensor, distribute_tensor
 from torch.nn.parallel import DistributedDataParallel
 
 from instok3d.data.sample import Sample
-from instok3d.training.stages import Stage
+from instok3d.training.stages.stage import Stage
 
 Strategy = Literal["auto", "single", "ddp", "fsdp"]
 

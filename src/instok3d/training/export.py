@@ -7,17 +7,17 @@ from typing import Any
 
 from torch import Tensor
 
+from instok3d.backbones.registry import build_backbone, name_of
+from instok3d.backbones.vggt import VGGTConfig
 from instok3d.files import write_safetensors
-from instok3d.model.backbone.registry import build_backbone, name_of
-from instok3d.model.backbone.vggt import VGGTConfig
 from instok3d.model.files import save_model
-from instok3d.training.adapt_stage import AdaptStageConfig
+from instok3d.training.cache.features import FeatureCache, of_backbone, with_backbone
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
-from instok3d.training.feature_cache import FeatureCache, of_backbone, with_backbone
-from instok3d.training.geometry_stage import GeometryStageConfig
 from instok3d.training.run_log import read_metrics
-from instok3d.training.tokenizer_stage import TokenizerStageConfig, new_tokenizer
+from instok3d.training.stages.adapt import AdaptStageConfig
+from instok3d.training.stages.geometry import GeometryStageConfig
+from instok3d.training.stages.tokenizer import TokenizerStageConfig, new_tokenizer
 
 BACKBONE_FORMAT = "instok3d-backbone-1"
 

@@ -5,18 +5,18 @@ from pathlib import Path
 
 from torch import Tensor
 
-from instok3d.model.backbone import depth_anything3
-from instok3d.model.backbone.base import GeometryBackbone
-from instok3d.model.backbone.depth_anything3 import DepthAnything3Backbone, DepthAnything3Config
-from instok3d.model.backbone.nano import NanoConfig
-from instok3d.model.backbone.vggt import VGGTBackbone, VGGTConfig
-from instok3d.model.backbone.vggt import weights as vggt_weights
-from instok3d.model.weights import weights_path
+from instok3d.backbones import depth_anything3
+from instok3d.backbones.base import GeometryBackbone
+from instok3d.backbones.depth_anything3 import DepthAnything3Backbone, DepthAnything3Config
+from instok3d.backbones.nano.backbone import NanoConfig
+from instok3d.backbones.vggt import VGGTBackbone, VGGTConfig
+from instok3d.backbones.vggt import weights as vggt_weights
 from instok3d.objectives.lpips import Lpips, load_lpips
-from instok3d.training.feature_cache import of_backbone
+from instok3d.training.cache.features import of_backbone
+from instok3d.weights import weights_path
 
 BackboneConfig = NanoConfig | VGGTConfig | DepthAnything3Config
-"""Sizes of a backbone that a stage can be built on (`model.backbone.registry`)."""
+"""Sizes of a backbone that a stage can be built on (`backbones.registry`)."""
 
 
 def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> None:

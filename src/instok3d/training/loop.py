@@ -36,7 +36,7 @@ from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.plots import plot_curves
 from instok3d.training.run_log import RunLog, RunningMeans
 from instok3d.training.schedule import learning_rate
-from instok3d.training.stages import Stage
+from instok3d.training.stages.stage import Stage
 from instok3d.training.update import new_state, train_step
 
 End = Literal["finished", "time limit", "interrupted"]

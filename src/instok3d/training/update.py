@@ -14,7 +14,7 @@ from instok3d.training.checkpoint import RunState, WeightAverage
 from instok3d.training.config import TrainConfig
 from instok3d.training.distributed import ALONE, Processes, clip_gradients, gradients_shared
 from instok3d.training.run_log import RunningMeans, format_figures
-from instok3d.training.stages import StepLoss
+from instok3d.training.stages.stage import StepLoss
 
 
 class NonFiniteLossError(ValueError):

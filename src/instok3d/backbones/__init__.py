@@ -1,0 +1,1 @@
+"""Geometry backbones: features, depth and cameras from photos, behind one interface."""

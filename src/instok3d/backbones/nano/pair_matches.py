@@ -1,0 +1,149 @@
+"""What pairs of views see of each other, and the photos and geometry it is held against."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from instok3d.backbones.nano.alignment import PhotoGeometry, sample_depth
+from instok3d.backbones.nano.bundle import Sightings
+from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """Matches of two views of each scene of the batch, both ways."""
+
+    views_a: Int[Tensor, " batch"]
+    views_b: Int[Tensor, " batch"]
+    of_a: Matches
+    """Where the cells of a lie in b."""
+    of_b: Matches
+    """Where the cells of b lie in a."""
+
+    @property
+    def ways(self) -> tuple[tuple[Tensor, Tensor, Matches], tuple[Tensor, Tensor, Matches]]:
+        """(views here, views there, matches of cells of here in there), both ways."""
+        return (
+            (self.views_a, self.views_b, self.of_a),
+            (self.views_b, self.views_a, self.of_b),
+        )
+
+
+@dataclass(frozen=True)
+class SolvedViews:
+    """Cameras of all views, their focal length and the coarse change of their depths."""
+
+    cam_from_first: Float[Tensor, "batch view 4 4"]
+    """In units of the depths."""
+    log_focal: Float[Tensor, " batch"]
+    """Logarithm of the focal length, one for all views, over what it was taken for."""
+    deeper: Float[Tensor, "batch view height width"]
+    """To be added to log depth."""
+
+
+@dataclass(frozen=True)
+class PhotoViews:
+    """Photos of all views and the geometry in which their matches are looked at."""
+
+    images: Float[Tensor, "batch view 3 height width"]
+    depths: Float[Tensor, "batch view height width"]
+    """> 0."""
+    intrinsics: Float[Tensor, "batch view 3 3"]
+    """Pixels."""
+
+    def at(
+        self, views: Int[Tensor, " batch"], cam_from_first: Float[Tensor, "batch view 4 4"]
+    ) -> PhotoGeometry:
+        """One view of each scene."""
+        scenes = torch.arange(len(views), device=views.device)
+        parts = (self.images, self.depths, self.intrinsics, cam_from_first)
+        return PhotoGeometry(*(part[scenes, views] for part in parts))
+
+    def moved(self, solved: SolvedViews) -> "PhotoViews":
+        """With the depths and the focal length that were solved for."""
+        return replace(
+            self,
+            depths=self.depths * solved.deeper.exp(),
+            intrinsics=scale_focal(self.intrinsics, solved.log_focal),
+        )
+
+
+@dataclass(frozen=True)
+class MatchedPoints:
+    """Cells of one view in space, and where another view sees them: one direction of a pair."""
+
+    points: Float[Tensor, "batch cell 3"]
+    """Where the depth puts each cell, in its own camera's frame."""
+    rays: Float[Tensor, "batch cell 2"]
+    """x/z, y/z of its match in the other camera's frame."""
+    precision: Float[Tensor, "batch cell 2 2"]
+    """Inverse covariance of the rays."""
+    matched: Float[Tensor, "batch cell 3"]
+    """Where the other view's depth puts the match, in the other camera's frame."""
+    trust: Float[Tensor, "batch cell"]
+    """Probability of the match."""
+
+
+def matched_points(pair: PairMatches, views: PhotoViews) -> tuple[MatchedPoints, MatchedPoints]:
+    """The cells of a as b sees them, and the cells of b as a sees them."""
+    scenes = torch.arange(len(views.depths), device=views.depths.device)
+    found = []
+    for here, there, matches in pair.ways:
+        own = matches.centers.expand(len(scenes), -1, -1)
+        points = _points_at(own, views.depths[scenes, here], views.intrinsics[scenes, here])
+        intrinsics = views.intrinsics[scenes, there]
+        matched = _points_at(matches.pixels, views.depths[scenes, there], intrinsics)
+        focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)
+        by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
+        rays = matched[..., :2] / matched[..., 2:]
+        found.append(
+            MatchedPoints(points, rays, matches.precision * by_focal, matched, matches.trust)
+        )
+    return found[0], found[1]
+
+
+def scale_focal(
+    intrinsics: Float[Tensor, "batch view 3 3"], log_focal: Float[Tensor, " batch"]
+) -> Float[Tensor, "batch view 3 3"]:
+    """Intrinsics with focal lengths that are exp(log_focal) times as long."""
+    scale = torch.ones_like(intrinsics)
+    scale[..., 0, 0] = scale[..., 1, 1] = log_focal.exp()[:, None]
+    return intrinsics * scale
+
+
+def thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
+    """The matches of every second cell each way.
+
+    Before they are aligned, those of neighbouring cells are wrong together: all of them say little
+    more than a quarter.
+    """
+    rows, columns = (size // MATCH_STRIDE for size in views.depths.shape[-2:])
+    number = torch.arange(rows * columns, device=views.depths.device).view(rows, columns)
+    cells = number[::2, ::2].flatten()
+    return [replace(pair, of_a=pair.of_a.at(cells), of_b=pair.of_b.at(cells)) for pair in pairs]
+
+
+def pair_sightings(pairs: list[PairMatches], views: PhotoViews) -> Sightings:
+    """Both directions of every pair of every scene, one row each."""
+    height, width = views.depths.shape[-2:]
+    size = torch.tensor([width, height]).to(views.depths)
+    scenes = torch.arange(len(views.depths), device=size.device)
+    parts = []
+    for pair in pairs:
+        for (here, there, matches), way in zip(pair.ways, matched_points(pair, views), strict=True):
+            places = (matches.centers / size).expand(len(scenes), -1, -1)
+            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.trust)
+            parts.append((scenes, here, there, *points, places, matches.pixels / size))
+    return Sightings(*(torch.cat(each) for each in zip(*parts, strict=True)))
+
+
+def _points_at(
+    pixels: Float[Tensor, "batch point 2"],
+    depths: Float[Tensor, "batch height width"],
+    intrinsics: Float[Tensor, "batch 3 3"],
+) -> Float[Tensor, "batch point 3"]:
+    """Points of the surface at places of an image, in the camera's frame."""
+    rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1) @ intrinsics.inverse().mT
+    return rays * sample_depth(depths, pixels)[..., None]

@@ -1,0 +1,74 @@
+"""Reading the published weights of VGGT."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from instok3d.backbones.vggt.aggregator import new_intrinsics_layer
+from instok3d.backbones.vggt.backbone import VGGTBackbone
+from instok3d.backbones.vggt.config import VGGTConfig
+from instok3d.backbones.vggt.conversion import KERNEL, POSITIONS, resize_patches
+
+NOT_READ = "track_head."
+"""The published file tracks pixels, too; nothing here does."""
+
+
+def load_vggt_weights(path: Path, config: VGGTConfig | None = None) -> VGGTBackbone:
+    """A backbone with the published weights, in float32, in eval mode on the CPU.
+
+    Every tensor of the file is read and must fit, except for the track head's, and the file must
+    hold every tensor of the network, except for the intrinsics layer's, which starts anew (Kaiming,
+    zero bias). Patches of another size than the file's are resized (`resize_patches`).
+
+    Args:
+        path: A safetensors file with the names of the public VGGT-1B.
+        config: Sizes; the public model's for None, PAPER_VGGT for the paper's.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or holds other tensors than VGGT's of these sizes.
+    """
+    config = VGGTConfig() if config is None else config
+    state = _read(path)
+    if not is_published(state):
+        raise ValueError(f"{path} is no VGGT: it has no {KERNEL} or no {POSITIONS}")
+    state = from_published(state, config)
+    with torch.device("meta"):  # no memory and no time for weights that are replaced
+        backbone = VGGTBackbone(config)
+    try:
+        backbone.vggt.load_state_dict(state, strict=True, assign=True)
+    except RuntimeError as error:
+        raise ValueError(f"{path} does not hold VGGT's tensors of these sizes: {error}") from error
+    return backbone.eval()
+
+
+def is_published(state: Mapping[str, Tensor]) -> bool:
+    """Whether these are weights under the names of the public VGGT-1B."""
+    return KERNEL in state and POSITIONS in state
+
+
+def from_published(state: Mapping[str, Tensor], config: VGGTConfig) -> dict[str, Tensor]:
+    """The state dict of a `VGGT` of these sizes from published weights.
+
+    Without the track head, with resized patches, and with a new intrinsics layer where the network
+    has one and the weights do not.
+    """
+    kept = {name: value for name, value in state.items() if not name.startswith(NOT_READ)}
+    if config.intrinsics_token:
+        layer = new_intrinsics_layer(config.embed_dim).state_dict()
+        kept = {f"aggregator.embed_intrinsics.{name}": v for name, v in layer.items()} | kept
+    return resize_patches(kept, img_size=config.img_size, patch_size=config.patch_size)
+
+
+def _read(path: Path) -> dict[str, Tensor]:
+    if not path.is_file():
+        raise FileNotFoundError(f"no weights {path}; give the safetensors file of VGGT-1B")
+    try:
+        with safe_open(path, framework="pt") as stream:
+            names = [name for name in stream.keys() if not name.startswith(NOT_READ)]  # noqa: SIM118
+            return {name: stream.get_tensor(name).float() for name in names}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error

@@ -1,0 +1,72 @@
+"""The index of a prepared folder; it only repeats what the scenes say."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from instok3d.datasets.prepared.format import RECORD, read_json, read_scene
+from instok3d.files import write_json
+
+INDEX_FORMAT = "instok3d-scenes-1"
+INDEX = "scenes.json"
+
+
+def scene_folders(folder: Path) -> list[Path]:
+    """The scenes that lie in a prepared folder, by name; unfinished ones are hidden."""
+    return sorted(path.parent for path in folder.glob(f"[!.]*/{RECORD}"))
+
+
+def refresh_index(folder: Path) -> dict[str, Any]:
+    """Write and return the index of what lies in a prepared folder; known scenes stay as they are.
+
+    Raises:
+        ValueError: A scene's record is damaged.
+    """
+    try:
+        known = read_json(folder / INDEX, INDEX_FORMAT, "")["scenes"]
+    except (FileNotFoundError, ValueError, KeyError):
+        known = {}  # everything in it is derived from the folders
+    scenes, datasets = {}, set()
+    for scene in scene_folders(folder):
+        sha256 = hashlib.sha256((scene / RECORD).read_bytes()).hexdigest()
+        entry = known.get(scene.name)
+        if not (isinstance(entry, dict) and entry.get("sha256") == sha256 and "dataset" in entry):
+            record = read_scene(scene)
+            entry = {
+                "dataset": record.info.dataset,
+                "split": record.info.split,
+                "split_rule": record.info.settings.get("split_rule", ""),
+                "num_frames": len(record.sources),
+                "cameras": record.world_from_cam is not None,
+                "bytes": record.num_bytes,
+                "sha256": sha256,
+            }
+        datasets.add(entry["dataset"])
+        scenes[scene.name] = entry
+    index = {"format": INDEX_FORMAT, "dataset": "+".join(sorted(datasets)), "scenes": scenes}
+    write_json(folder / INDEX, index)
+    return index
+
+
+def read_index(folder: Path) -> dict[str, dict[str, Any]]:
+    """What the index says of each scene.
+
+    The keys are dataset, split, split_rule, num_frames, cameras, bytes and sha256.
+
+    Raises:
+        FileNotFoundError: The folder is not there or has no index.
+        ValueError: The index is damaged or of another format.
+    """
+    if not (folder / INDEX).is_file():
+        raise FileNotFoundError(
+            f"there is no {INDEX} in {folder}; make it with `instok3d data prepare`, or with "
+            "`instok3d data verify --index` where scenes lie there already"
+        )
+    remedy = f"run `instok3d data verify --index {folder}`"
+    scenes = read_json(folder / INDEX, INDEX_FORMAT, remedy).get("scenes")
+    wanted = {"split", "num_frames", "sha256"}
+    if not isinstance(scenes, dict) or not all(
+        isinstance(scene, dict) and wanted <= scene.keys() for scene in scenes.values()
+    ):
+        raise ValueError(f"{folder / INDEX} is damaged; {remedy}")
+    return scenes

@@ -1,0 +1,219 @@
+"""The groups of overlapping windows of views as those of one scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid, transform_points
+from instok3d.geometry.moving import move_gaussians
+from instok3d.model.views.windows import middle_windows
+from instok3d.types import Anchors, Gaussians, Geometry, TokenGroups
+
+SAME_GROUP_IOU = 0.15
+"""Groups of two windows become one from this overlap on the anchors that both windows have."""
+
+
+@dataclass(frozen=True)
+class WindowGroups:
+    """The groups of a window that hold anything, on the patches that it has anchors on."""
+
+    held: Float[Tensor, "row patch"]
+    """How much of each patch's anchor every group has."""
+    patches: Int[Tensor, " patch"]
+    """Which patches of all views these are, each once."""
+    tokens: Float[Tensor, "row channel"]
+
+
+def join_windows(
+    parts: Sequence[TokenGroups], windows: Sequence[Sequence[int]], geometry: Geometry, scene: int
+) -> TokenGroups:
+    """One scene out of its windows, a batch of one in the first camera's frame.
+
+    Every view's anchors and Gaussians come from the largest window in whose middle it lies most.
+    Groups of different windows that overlap on shared anchors are one group, whose token is the
+    mean of theirs by the anchors they hold; never two groups of one window. An anchor's
+    assignment is the mean over the windows it is in. In float32, also under autocast.
+    Differentiable but for the choice of what is joined.
+
+    Args:
+        parts: The tokens of each window, batches of one.
+        windows: The views of each window.
+        geometry: Of all views of the whole batch.
+        scene: Which of the batch.
+    """
+    num_patches = geometry.features.shape[1] * geometry.features.shape[2]
+    patches = [
+        _patches_of(part, window, geometry) for part, window in zip(parts, windows, strict=True)
+    ]
+    with torch.autocast(geometry.depths.device.type, enabled=False):
+        groups = [_groups_of(part, where) for part, where in zip(parts, patches, strict=True)]
+        owners = join_groups(groups, num_patches)
+        count = max((int(owner.max()) + 1 for owner in owners if len(owner)), default=0)
+        numbers = torch.arange(count, device=geometry.depths.device)
+        shares = groups[0].held.new_zeros(num_patches, count)
+        covered = groups[0].held.new_zeros(num_patches, 1)
+        mass = groups[0].held.new_zeros(count, 1)
+        tokens = groups[0].tokens.new_zeros(count, groups[0].tokens.shape[1])
+        for group, owner in zip(groups, owners, strict=True):
+            members = (owner[:, None] == numbers).float()  # row joined
+            shares.index_add_(0, group.patches, group.held.mT @ members)
+            covered[group.patches] += 1
+            weights = members.mT * group.held.sum(dim=1)
+            mass += weights.sum(dim=1, keepdim=True)
+            tokens += weights @ group.tokens
+        anchors, gaussians = _from_middles(parts, windows, patches, geometry, scene)
+        own = anchors.patches[0]
+        shares = shares[own] / covered[own]
+        void = (1 - shares.sum(dim=1, keepdim=True)).clamp_min(0)
+    return TokenGroups(
+        anchors=anchors,
+        tokens=(tokens / mass)[None],
+        assignment=torch.cat([shares, void], dim=1)[None],
+        gaussians=gaussians,
+        geometry=geometry,
+    )
+
+
+@torch.no_grad()
+def join_groups(windows: Sequence[WindowGroups], num_patches: int) -> list[Int[Tensor, " row"]]:
+    """For each window the numbers of the joined groups that its groups go into.
+
+    Pairs are joined in the order of their IoU on the patches that both windows have anchors on,
+    down to SAME_GROUP_IOU, unless that would bring two groups of one window together.
+
+    Args:
+        windows: The groups of each window.
+        num_patches: Of all views.
+    """
+    counts = [len(window.held) for window in windows]
+    owner = list(range(sum(counts)))
+    holds = [{number} for number, count in enumerate(counts) for _ in range(count)]
+    members = [[row] for row in owner]
+    for first, second in _pairs_best_first(windows, num_patches):
+        kept, gone = sorted((owner[first], owner[second]))
+        if kept != gone and not holds[kept] & holds[gone]:
+            holds[kept] |= holds[gone]
+            members[kept] += members[gone]
+            for row in members[gone]:
+                owner[row] = kept
+    device = windows[0].held.device
+    numbers = torch.as_tensor(owner, dtype=torch.long, device=device)
+    return list(numbers.unique(return_inverse=True)[1].split(counts))
+
+
+def _pairs_best_first(windows: Sequence[WindowGroups], num_patches: int) -> list[list[int]]:
+    """Groups of two windows that overlap enough, counted through all windows."""
+    column = torch.full((num_patches,), -1, device=windows[0].patches.device)
+    pairs, overlaps, before = [column.new_zeros(0, 2)], [windows[0].held.new_zeros(0)], 0
+    for number, window in enumerate(windows):
+        column[window.patches] = torch.arange(len(window.patches), device=column.device)
+        later = before + len(window.held)
+        for other in windows[number + 1 :]:
+            at = column[other.patches]
+            shared = at >= 0
+            if not shared.any():
+                later += len(other.held)
+                continue
+            mine, theirs = window.held[:, at[shared]], other.held[:, shared]
+            both = mine @ theirs.mT
+            either = mine.sum(dim=1)[:, None] + theirs.sum(dim=1) - both
+            iou = both / either.clamp_min(1e-6)
+            found = (iou > SAME_GROUP_IOU).nonzero()
+            pairs.append(found + found.new_tensor([before, later]))
+            overlaps.append(iou[found[:, 0], found[:, 1]])
+            later += len(other.held)
+        column[window.patches] = -1
+        before += len(window.held)
+    order = torch.cat(overlaps).argsort(descending=True, stable=True)
+    return torch.cat(pairs)[order].tolist()
+
+
+def collate_scenes(scenes: Sequence[TokenGroups], geometry: Geometry) -> TokenGroups:
+    """Scenes of one batch, filled up with empty groups to as many as the largest has.
+
+    Raises:
+        ValueError: They have unlike numbers of anchors.
+    """
+    counts = [scene.assignment.shape[1] for scene in scenes]
+    if min(counts) != max(counts):
+        raise ValueError(
+            f"scenes of one batch came out with unlike numbers of anchors, {min(counts)} to "
+            f"{max(counts)}; give one scene at a time, or raise num_anchors to the patches of a "
+            "window"
+        )
+    most = max(scene.tokens.shape[1] for scene in scenes)
+    return TokenGroups(
+        anchors=Anchors(**_joined([scene.anchors for scene in scenes], dim=0)),
+        tokens=torch.cat([_padded(scene.tokens.mT, most).mT for scene in scenes]),
+        assignment=torch.cat(
+            [
+                torch.cat([_padded(s.assignment[..., :-1], most), s.assignment[..., -1:]], dim=-1)
+                for s in scenes
+            ]
+        ),
+        gaussians=Gaussians(**_joined([scene.gaussians for scene in scenes], dim=0)),
+        geometry=geometry,
+    )
+
+
+def _patches_of(
+    part: TokenGroups, window: Sequence[int], geometry: Geometry
+) -> Int[Tensor, " anchor"]:
+    """Which patch of all views each anchor of a window was placed on."""
+    per_view = geometry.features.shape[2]
+    patches = part.anchors.patches[0]
+    views = torch.as_tensor(window, device=patches.device)
+    return views[patches // per_view] * per_view + patches % per_view
+
+
+def _groups_of(part: TokenGroups, where: Int[Tensor, " anchor"]) -> WindowGroups:
+    """Groups that hold an anchor's worth or win an anchor; what others hold goes to the void."""
+    pi = part.assignment[0, :, :-1].float()
+    wins = part.assignment[0].argmax(dim=1).bincount(minlength=pi.shape[1] + 1)[:-1]
+    kept = ((pi.sum(dim=0) >= 1) | (wins > 0)).nonzero()[:, 0]
+    # Copies of an anchor (pad_duplicates) say the same of their patch: the last one stays.
+    patches, copy_of = where.unique(return_inverse=True)
+    last = torch.zeros_like(patches).scatter_reduce(
+        0, copy_of, torch.arange(len(where), device=where.device), "amax"
+    )
+    return WindowGroups(pi[last][:, kept].mT, patches, part.tokens[0, kept].float())
+
+
+def _from_middles(
+    parts: Sequence[TokenGroups],
+    windows: Sequence[Sequence[int]],
+    patches: Sequence[Tensor],
+    geometry: Geometry,
+    scene: int,
+) -> tuple[Anchors, Gaussians]:
+    """Anchors and Gaussians of each view from the window in whose middle it lies most."""
+    per_view = geometry.features.shape[2]
+    chosen = middle_windows(windows)
+    anchors, gaussians, count = [], [], 0
+    for number, (part, window, where) in enumerate(zip(parts, windows, patches, strict=True)):
+        mine = [chosen[view] == number for view in range(len(chosen))]
+        kept = torch.as_tensor(mine, device=where.device)[where // per_view]
+        world_from_first = invert_rigid(geometry.cameras.cam_from_world[scene, window[0]])
+        positions = transform_points(world_from_first, part.anchors.positions[0, kept])
+        tokens = part.anchors.tokens[:, kept]
+        anchors.append(Anchors(positions[None], tokens, where[None, kept]))
+        rows = kept[part.gaussians.anchor_index[0]]
+        own = Gaussians(**{name: value[0, rows] for name, value in vars(part.gaussians).items()})
+        new_number = kept.cumsum(0) - 1 + count
+        own = replace(own, anchor_index=new_number[own.anchor_index])
+        gaussians.append(move_gaussians(own, world_from_first))
+        count += int(kept.sum())
+    drawn = {name: value[None] for name, value in _joined(gaussians, dim=0).items()}
+    return Anchors(**_joined(anchors, dim=1)), Gaussians(**drawn)
+
+
+def _padded(values: Tensor, count: int) -> Tensor:
+    """With zeros behind the last column."""
+    return torch.nn.functional.pad(values, (0, count - values.shape[-1]))
+
+
+def _joined(items: Sequence[Anchors] | Sequence[Gaussians], *, dim: int) -> dict[str, Tensor]:
+    return {name: torch.cat([vars(item)[name] for item in items], dim) for name in vars(items[0])}

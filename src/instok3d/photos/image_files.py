@@ -1,0 +1,148 @@
+"""Which files are meant: a folder, files, a glob pattern or a video become a list of photos."""
+
+import glob
+import re
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from instok3d.photos.video import VIDEO_SUFFIXES, extract_frames
+
+IMAGE_SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".jpe", ".png", ".webp", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm"}
+    | {".gif", ".avif", ".heic", ".heif"}
+)
+_THUMBNAIL = re.compile(r"(^|[._-])thumb(s|nail|nails)?([._-]|$)", re.IGNORECASE)
+_frame_folders: list[tempfile.TemporaryDirectory[str]] = []  # each is removed when Python ends
+
+
+class NoPhotosError(ValueError):
+    """A folder or a pattern that is there, but with no photo in it."""
+
+
+def find_images(
+    source: str | Path | Sequence[str | Path], *, frames_folder: Path | None = None
+) -> list[Path]:
+    """The photos that a folder, a file, a glob pattern, a video, or a list of files stands for.
+
+    Folders and patterns come out in natural order (2 before 10); a list keeps its own order. A
+    folder's hidden files, thumbnails, subfolders and files of other kinds are left out with a
+    warning that names them.
+
+    Args:
+        source: Folders are not searched below their first level.
+        frames_folder: Where the frames of a video go; a temporary folder by default, which lasts
+            as long as the process.
+
+    Raises:
+        FileNotFoundError: Nothing is there, or the pattern matches nothing.
+        PermissionError: A folder may not be listed.
+        NoPhotosError: No photo is in the folder, or none fits the pattern.
+        ValueError: The list is empty or names a folder, or a video cannot be read.
+    """
+    if isinstance(source, Sequence) and not isinstance(source, str):
+        return _list_files(source)
+    path = Path(source).expanduser()
+    if path.is_dir():
+        return _list_folder(path)
+    if not path.exists():
+        if glob.has_magic(str(source)):
+            return _list_pattern(str(path))
+        raise FileNotFoundError(f"there is no file or folder {source}")
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        return extract_frames(path, frames_folder or _temporary_folder())
+    return [path]
+
+
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """A sort key under which numbers within names count as numbers."""
+    parts = re.findall(r"\d+|\D+", str(path))
+    key = [(0, int(p), "") if p.isdecimal() else (1, 0, p.casefold()) for p in parts]
+    return key, str(path)
+
+
+def _list_files(source: Sequence[str | Path]) -> list[Path]:
+    paths = [Path(item).expanduser() for item in source]
+    if not paths:
+        raise ValueError("no photo was given: the list of files is empty")
+    for path in paths:
+        if path.is_dir():
+            raise ValueError(f"a list of photos holds the folder {path}; give files, or it alone")
+        if not path.exists():
+            raise FileNotFoundError(f"there is no file {path}")
+    unique = list(dict.fromkeys(paths))
+    if len(unique) < len(paths):
+        warnings.warn(
+            f"{len(paths) - len(unique)} of {len(paths)} files were given twice and are used once",
+            stacklevel=3,
+        )
+    return unique
+
+
+def _list_pattern(pattern: str) -> list[Path]:
+    found = sorted(map(Path, glob.glob(pattern, recursive=True)), key=natural_key)
+    if not found:
+        raise FileNotFoundError(f"no file matches the pattern {pattern}")
+    return _photos_among(found, f"the pattern {pattern}")
+
+
+def _list_folder(folder: Path) -> list[Path]:
+    try:
+        entries = sorted(folder.iterdir(), key=natural_key)
+    except PermissionError as error:
+        raise PermissionError(
+            f"the folder {folder} may not be listed; change its permissions"
+        ) from error
+    return _photos_among(entries, f"the folder {folder}")
+
+
+def _photos_among(entries: list[Path], where: str) -> list[Path]:
+    photos = [path for path in entries if _is_photo(path)]
+    others = [path.name for path in entries if not _is_photo(path)]
+    if not photos:
+        raise NoPhotosError(f"{where} holds no photo{_hint(entries, others)}")
+    if others:
+        warnings.warn(
+            f"{len(others)} of {len(entries)} entries of {where} are not photos and were left "
+            f"out: {_shortened(others)}",
+            stacklevel=4,
+        )
+    return photos
+
+
+def _is_photo(path: Path) -> bool:
+    return (
+        not path.name.startswith(".")
+        and path.suffix.lower() in IMAGE_SUFFIXES
+        and not _THUMBNAIL.search(path.stem)
+        and path.is_file()
+    )
+
+
+def _hint(entries: list[Path], others: list[str]) -> str:
+    """What to give instead: a subfolder with photos or the video that lies there."""
+    fuller = [p.name for p in entries if p.is_dir() and any(map(_is_photo, _entries_of(p)))]
+    videos = [p.name for p in entries if p.suffix.lower() in VIDEO_SUFFIXES]
+    if fuller:
+        return f" itself; give one of its folders: {_shortened(fuller)}"
+    if videos:
+        return f"; give a video in it as the input: {_shortened(videos)}"
+    return f", only {_shortened(others)}" if others else "; it is empty"
+
+
+def _entries_of(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError:
+        return []  # only a hint in an error message depends on it
+
+
+def _shortened(names: list[str], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if names[most:] else "")
+
+
+def _temporary_folder() -> Path:
+    folder = tempfile.TemporaryDirectory(prefix="instok3d_frames_")
+    _frame_folders.append(folder)
+    return Path(folder.name)

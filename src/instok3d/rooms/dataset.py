@@ -1,0 +1,147 @@
+"""Reading a folder of rooms, also while it is being written."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from instok3d.data.scenes import SceneFrames
+from instok3d.rooms.shards import read_index
+
+
+@dataclass(frozen=True)
+class RoomScene:
+    """One scene: 16 frames of one room, in metres, OpenCV cameras, z of the world up."""
+
+    images: UInt8[Tensor, "frame height width 3"]
+    """sRGB bytes."""
+    instances: Int[Tensor, "frame height width"]
+    """Instance ids as in meta["instances"][i]["id"]; 0 = none."""
+    depths_m: Float[Tensor, "frame height width"]
+    """z-depth, to the millimetre."""
+    world_from_cam: Float[Tensor, "frame 4 4"]
+    intrinsics: Float[Tensor, "frame 3 3"]
+    meta: dict[str, Any]
+    """seed, level, room_type, and instances: id, class, color, material, size_m, parent, stuff,
+    aabb_m, pixels (one count a frame)."""
+
+    @property
+    def seed(self) -> int:
+        """What the scene was made from."""
+        return self.meta["seed"]
+
+    @property
+    def level(self) -> str:
+        """easy, medium or hard."""
+        return self.meta["level"]
+
+
+class RoomDataset:
+    """The finished scenes of a folder, ordered by seed. Files are mapped, not loaded."""
+
+    def __init__(self, folder: Path | str, seeds: range | None = None):
+        """Keep the scenes whose seed is in `seeds`; None keeps all."""
+        self.folder, self.seeds = Path(folder), seeds
+        self._open: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take up shards that were finished since the index was last read."""
+        index = read_index(self.folder)
+        self.resolution: int = index["resolution"]
+        self._frames_per_scene: int = index["frames"]
+        found = [
+            (seed, name, row, record["levels"][row])
+            for name, record in index["shards"].items()
+            for row, seed in enumerate(record["seeds"])
+            if self.seeds is None or seed in self.seeds
+        ]
+        self._scenes = sorted(found)
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_open": {}}  # open files do not go to other processes
+
+    def seed_of(self, number: int) -> int:
+        """The seed of scene `number`, without reading it."""
+        return self._scenes[number][0]
+
+    def level_of(self, number: int) -> str:
+        """easy, medium or hard, without reading the scene."""
+        return self._scenes[number][3]
+
+    def name_of(self, number: int) -> str:
+        """The seed as text."""
+        return str(self.seed_of(number))
+
+    def num_frames(self, number: int) -> int:
+        """The same for all rooms of a folder."""
+        return self._frames_per_scene
+
+    def frames(self, number: int, chosen: Sequence[int]) -> SceneFrames:
+        """These frames of scene `number`; the others are not read.
+
+        Raises:
+            IndexError: There is no such scene or frame.
+            ValueError: Its file is missing or damaged.
+        """
+        if not all(0 <= frame < self._frames_per_scene for frame in chosen):
+            raise IndexError(f"frames 0..{self._frames_per_scene - 1} exist, got {list(chosen)}")
+        _, name, row, _ = self._scenes[number]
+        shard, _ = self._shard(name)
+
+        def read(key: str) -> Tensor:
+            whole = shard.get_slice(key)
+            return torch.stack([whole[row, frame] for frame in chosen])
+
+        return SceneFrames(
+            name=self.name_of(number),
+            images=read("images"),
+            instances=read("instances").to(torch.int64),
+            depths_m=read("depths_mm").to(torch.float32) / 1000,
+            world_from_cam=read("world_from_cam"),
+            intrinsics=read("intrinsics"),
+        )
+
+    def scene(self, number: int) -> RoomScene:
+        """Scene `number`; one copy out of the mapped file.
+
+        Raises:
+            IndexError: There is no such scene.
+            ValueError: Its file is missing or damaged.
+        """
+        _, name, row, _ = self._scenes[number]
+        shard, metas = self._shard(name)
+
+        def read(key: str) -> Tensor:
+            return shard.get_slice(key)[row]
+
+        return RoomScene(
+            read("images"),
+            read("instances").to(torch.int64),
+            read("depths_mm").to(torch.float32) / 1000,
+            read("world_from_cam"),
+            read("intrinsics"),
+            metas[row],
+        )
+
+    def _shard(self, name: str) -> tuple[Any, list[dict[str, Any]]]:
+        """An open shard and the meta of its scenes; it stays open, a few hundred at most do."""
+        if name not in self._open:
+            try:
+                shard = safe_open(self.folder / name, framework="pt")
+                self._open[name] = shard, json.loads(shard.metadata()["scenes"])
+            except (OSError, SafetensorError) as error:
+                raise ValueError(
+                    f"{self.folder / name} is missing or damaged ({error}); delete it and run "
+                    "`instok3d data rooms` on its seeds again"
+                ) from error
+        return self._open[name]

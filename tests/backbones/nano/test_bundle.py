@@ -1,0 +1,307 @@
+"""Bundle adjustment of cameras and coarse depth: exact data, wrong depth, false pairs, no data."""
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from torch.nn import functional
+
+from instok3d.backbones.nano import bundle
+from instok3d.backbones.nano.bundle import (
+    BundleNoise,
+    Sightings,
+    adjust_bundle,
+    coarse_grid,
+    node_weights,
+)
+from instok3d.geometry.cameras import invert_rigid, transform_points
+from instok3d.geometry.registration import rigid_from_twist
+from instok3d.geometry.rotations import angle_between_rad
+
+GRID = (4, 4)
+POINTS = 400
+PRECISION = torch.eye(2) / 0.006**2
+"""Of a ray: wrong by 0.006 in x/z and y/z."""
+
+
+def cameras_on_a_path(count: int) -> torch.Tensor:
+    """cam_from_first of cameras side by side that turn a little."""
+    steps = torch.tensor([0.25, -0.05, 0.05, 0.02, 0.06, -0.02]) * torch.arange(count)[:, None]
+    return rigid_from_twist(steps)
+
+
+def sight(
+    rng: torch.Generator,
+    cam_from_first: torch.Tensor,
+    pairs: list[tuple[int, int]],
+    log_error: torch.Tensor,
+) -> Sightings:
+    """Exact rays of points at depths 2 to 3, both ways; known depths wrong by the nodes' errors.
+
+    log_error [view, node] is added to log depth, by the node weights.
+    """
+    rows = []
+    for here, there in [*pairs, *((b, a) for a, b in pairs)]:
+        places = torch.rand(POINTS, 2, generator=rng)
+        depth = 2 + torch.rand(POINTS, 1, generator=rng)
+        points = torch.cat([places - 0.5, torch.ones(POINTS, 1)], dim=-1) * depth
+        there_from_here = cam_from_first[there] @ invert_rigid(cam_from_first[here])
+        seen = transform_points(there_from_here, points)
+        rays = seen[:, :2] / seen[:, 2:]
+        places_there = rays + 0.5
+        wrong_here = (node_weights(places, GRID) @ log_error[here]).exp()
+        wrong_there = (node_weights(places_there, GRID) @ log_error[there]).exp()
+        inside = ((places_there > 0) & (places_there < 1)).all(-1)
+        rows.append(
+            (
+                torch.tensor(0),
+                torch.tensor(here),
+                torch.tensor(there),
+                points * wrong_here[:, None],
+                rays,
+                PRECISION.expand(POINTS, 2, 2),
+                seen[:, 2] * wrong_there,
+                inside.float(),
+                places,
+                places_there,
+            )
+        )
+    return Sightings(*(torch.stack(each) for each in zip(*rows, strict=True)))
+
+
+def turn_error_deg(found: torch.Tensor, true: torch.Tensor) -> float:
+    return float(torch.rad2deg(angle_between_rad(found[0, :, :3, :3], true[:, :3, :3])).max())
+
+
+def test_node_weights_are_bilinear_interpolation():
+    nodes = torch.eye(6).view(6, 1, 2, 3)
+    expected = functional.interpolate(nodes, size=(8, 12), mode="bilinear", align_corners=False)
+    y, x = torch.meshgrid(torch.arange(8) + 0.5, torch.arange(12) + 0.5, indexing="ij")
+    places = torch.stack([x / 12, y / 8], dim=-1)
+    weights = node_weights(places, (2, 3))
+    torch.testing.assert_close(weights, expected[:, 0].permute(1, 2, 0))
+    torch.testing.assert_close(weights.sum(-1), torch.ones(8, 12))
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "grid"), [(128, 128, (8, 8)), (96, 128, (6, 8)), (8, 256, (1, 8))]
+)
+def test_grid_has_square_cells_and_at_least_one(height, width, grid):
+    assert coarse_grid(height, width) == grid
+
+
+def test_exact_matches_bring_wrong_cameras_back_and_leave_the_depth(rng):
+    true = cameras_on_a_path(3)
+    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
+    start = rigid_from_twist(0.03 * torch.randn(3, 6, generator=rng)) @ true
+    start[0] = true[0]
+    cameras, changes, _ = adjust_bundle(
+        sightings, start[None], torch.ones(1, 3), GRID, iterations=12
+    )
+    torch.testing.assert_close(cameras[0], true, atol=2e-3, rtol=0)
+    torch.testing.assert_close(changes, torch.zeros(1, 3, 16), atol=5e-3, rtol=0)
+
+
+def test_any_number_of_threads_gives_the_same_bits(rng):
+    """Of so many pairs and nodes that threads could share out what adds them up."""
+    true = cameras_on_a_path(5)
+    pairs = [(a, b) for a in range(5) for b in range(a)]
+    sightings = sight(rng, true, pairs, torch.zeros(5, 16))
+    # Both ways of a pair one behind the other, so that both threads add to the same blocks.
+    order = torch.arange(2 * len(pairs)).view(2, -1).T.flatten()
+    sightings = Sightings(*(getattr(sightings, field.name)[order] for field in fields(sightings)))
+    start = rigid_from_twist(0.03 * torch.randn(5, 6, generator=rng)) @ true
+    start[0] = true[0]
+    threads, found = torch.get_num_threads(), []
+    try:
+        for count in (2, 2, 1):
+            torch.set_num_threads(count)
+            found.append(adjust_bundle(sightings, start[None], torch.ones(1, 5), (8, 8)))
+    finally:
+        torch.set_num_threads(threads)
+    for again in found[1:]:
+        assert all(torch.equal(*both) for both in zip(found[0], again, strict=True))
+
+
+def test_wrong_depth_is_found_together_with_the_cameras(rng):
+    true = cameras_on_a_path(3)
+    # Each view has an error of its own; what is common to all is the length of a unit.
+    error = 0.1 * torch.randn(3, 16, generator=rng)
+    error = error - error.mean()
+    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], error)
+    start = rigid_from_twist(0.02 * torch.randn(3, 6, generator=rng)) @ true
+    start[0] = true[0]
+    cameras, changes, _ = adjust_bundle(sightings, start[None], torch.ones(1, 3), GRID)
+    left = error + changes[0]
+    left = left - left.mean()
+    assert left.std() < 0.4 * error.std()
+    assert turn_error_deg(cameras, true) < 0.3
+
+
+def test_known_depth_stays(rng):
+    true = cameras_on_a_path(2)
+    error = torch.zeros(2, 16)
+    error[1] = 0.1 * torch.randn(16, generator=rng)
+    sightings = sight(rng, true, [(0, 1)], error)
+    _, changes, _ = adjust_bundle(sightings, true[None], torch.tensor([[0.0, 1.0]]), GRID)
+    assert changes[0, 0].abs().max() < 1e-3
+    assert changes[0, 1].abs().max() > 0.03
+
+
+def test_a_pair_that_contradicts_the_others_changes_nothing(rng):
+    true = cameras_on_a_path(4)
+    sightings = sight(rng, true, [(0, 1), (1, 2), (2, 3), (0, 3)], torch.zeros(4, 16))
+    false = (sightings.here - sightings.there).abs() == 3
+    rays = torch.where(false[:, None, None], sightings.rays + 0.4, sightings.rays)
+    start = (rigid_from_twist(0.01 * torch.randn(4, 6, generator=rng)) @ true)[None]
+    start[0, 0] = true[0]
+    free = torch.ones(1, 4)
+    with_it, *_ = adjust_bundle(replace(sightings, rays=rays), start, free, GRID)
+    kept = {name: value[~false] for name, value in vars(sightings).items()}
+    without, *_ = adjust_bundle(Sightings(**kept), start, free, GRID)
+    torch.testing.assert_close(with_it, without, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.4])
+def test_matches_that_nobody_trusts_change_nothing(rng, trust):
+    true = cameras_on_a_path(2)
+    sightings = sight(rng, true, [(0, 1)], torch.ones(2, 16))
+    unsure = replace(sightings, trust=torch.full_like(sightings.trust, trust))
+    cameras, changes, _ = adjust_bundle(unsure, true[None], torch.ones(1, 2), GRID)
+    torch.testing.assert_close(cameras[0], true, atol=1e-5, rtol=0)
+    assert changes.abs().max() < 1e-6
+
+
+def test_points_behind_the_other_camera_are_left_out(rng):
+    turned_away = torch.eye(4).repeat(2, 1, 1)
+    turned_away[1, 0, 0] = turned_away[1, 2, 2] = -1
+    sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    cameras, changes, _ = adjust_bundle(sightings, turned_away[None], torch.ones(1, 2), GRID)
+    torch.testing.assert_close(cameras[0], turned_away, atol=1e-5, rtol=0)
+    assert changes.isfinite().all()
+
+
+def test_without_another_view_everything_stays(rng):
+    nothing = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    nothing = Sightings(**{name: value[:0] for name, value in vars(nothing).items()})
+    for count in (1, 3):
+        start = cameras_on_a_path(count)[None]
+        cameras, changes, _ = adjust_bundle(nothing, start, torch.ones(1, count), GRID)
+        assert torch.equal(cameras, start)
+        assert changes.shape == (1, count, 16)
+        assert changes.count_nonzero() == 0
+
+
+def test_a_ray_counts_as_far_as_it_is_precise(rng):
+    # Rays that are wrong by 0.05 up or down, but known across alone: as if nothing were wrong.
+    true = cameras_on_a_path(2)
+    exact = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    sideways = torch.tensor([[1 / 0.006**2, 0.0], [0.0, 1e-2]]).expand_as(exact.precision)
+    wrong = torch.stack([torch.zeros(2, POINTS), 0.05 * torch.ones(2, POINTS)], dim=-1)
+    free, start = torch.ones(1, 2), true[None]
+    blind = replace(exact, rays=exact.rays + wrong, precision=sideways)
+    cameras, *_ = adjust_bundle(blind, start, free, GRID)
+    torch.testing.assert_close(cameras, start, atol=2e-3, rtol=0)
+    seeing = replace(exact, rays=exact.rays + wrong)
+    cameras, *_ = adjust_bundle(seeing, start, free, GRID)
+    assert (cameras - start).abs().max() > 0.02
+
+
+def test_fine_depth_error_loosens_a_ray_along_its_parallax_alone(rng):
+    # By hand, for one point: covariance = 1 / precision + fine^2 slope slope^T.
+    sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).expand_as(sightings.precision)
+    sightings = replace(sightings, precision=mixed)
+    noise = BundleNoise(fine_depth=0.05, shared=1.0, outlier=1e6)
+    there_from_here = cameras_on_a_path(2)[[1, 0]] @ invert_rigid(cameras_on_a_path(2)[[0, 1]])
+    nothing = torch.zeros(2, POINTS)
+    known = torch.zeros(2)
+    errors = bundle._point_errors(sightings, there_from_here, nothing, nothing, known, noise)
+    plain = bundle._point_errors(
+        replace(sightings, precision=torch.eye(2).expand_as(mixed)),
+        there_from_here, nothing, nothing, known, replace(noise, fine_depth=0.0),
+    )  # fmt: skip
+    slope = plain.by_depth_here[..., :2]
+    covariance = mixed.inverse() + 0.05**2 * slope[..., :, None] * slope[..., None, :]
+    rows, plain_rows = errors.by_twist[..., :2, :], plain.by_twist[..., :2, :]
+    expected = plain_rows.mT @ covariance.inverse() @ plain_rows
+    seen = sightings.trust > 0
+    torch.testing.assert_close((rows.mT @ rows)[seen], expected[seen], rtol=1e-3, atol=1.0)
+
+
+def test_gradient_is_that_of_the_robust_errors(rng):
+    # Without fine_depth the weights depend on the errors alone, and the gradient of Gauss-Newton
+    # is that of share * outlier^2 / 2 * log(1 + (error / outlier)^2).
+    noise = BundleNoise(fine_depth=0.0)
+    true = cameras_on_a_path(2)
+    found = sight(rng, true, [(0, 1)], 0.1 * torch.randn(2, 16, generator=rng))
+    doubled = {n: v.double() if v.is_floating_point() else v for n, v in vars(found).items()}
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).double().expand(2, POINTS, 2, 2)
+    sightings = Sightings(**{**doubled, "precision": mixed})
+    start = (rigid_from_twist(0.05 * torch.randn(2, 6, generator=rng)) @ true).double()
+    nodes = 0.1 * torch.randn(1, 2, 16, generator=rng).double()
+    here, there = (node_weights(p, GRID) for p in (sightings.places_here, sightings.places_there))
+    longer = torch.tensor([0.07]).double()
+    equations = bundle._normal_equations(sightings, start[None], nodes, longer, here, there, noise)
+
+    twist = torch.zeros(2, 6, dtype=torch.double, requires_grad=True)
+    moved_nodes, focal = nodes.clone().requires_grad_(), longer.clone().requires_grad_()
+    cameras = rigid_from_twist(twist) @ start
+    cost = torch.zeros((), dtype=torch.double)
+    for row, (a, b) in enumerate([(0, 1), (1, 0)]):
+        points = sightings.points[row] * torch.cat([(-focal).exp().expand(2), torch.ones(1)])
+        points = points * (here[row] @ moved_nodes[0, a]).exp()[:, None]
+        seen = transform_points(cameras[b] @ invert_rigid(cameras[a]), points)
+        off = focal.exp() * seen[:, :2] / seen[:, 2:] - sightings.rays[row]
+        ray = ((off @ mixed[0, 0]) * off).sum(-1)
+        log_depth = sightings.depths[row].log() + there[row] @ moved_nodes[0, b]
+        depth = ((seen[:, 2].log() - log_depth) / noise.mutual_depth).square()
+        share = noise.shared * sightings.trust[row]
+        for error in (ray, depth):
+            cost = cost + (share * noise.outlier**2 / 2 * (error / noise.outlier**2).log1p()).sum()
+    by_twist, by_nodes, by_focal = torch.autograd.grad(cost, (twist, moved_nodes, focal))
+    gradient = equations.gradient
+    torch.testing.assert_close(gradient[0, :, :6], by_twist, atol=1e-8, rtol=1e-6)
+    torch.testing.assert_close(gradient[..., 6:], by_nodes, atol=1e-8, rtol=1e-6)
+    torch.testing.assert_close(equations.focal_gradient, by_focal, atol=1e-8, rtol=1e-6)
+
+
+def test_a_wrong_focal_length_is_found_where_it_is_free(rng):
+    # Points and rays as they seem where the focal length is 1.1 times what it is taken for. Most of
+    # that is found; short paths do not tell all.
+    true = cameras_on_a_path(4)
+    pairs = [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)]
+    sightings = sight(rng, true, pairs, torch.zeros(4, 16))
+    taken = torch.tensor([1.1, 1.1, 1.0])
+    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+    start, free = true[None], torch.ones(1, 4)
+    cameras, _, log_focal = adjust_bundle(
+        wrong, start, free, GRID, focal_is_free=True, iterations=20
+    )
+    torch.testing.assert_close(log_focal, torch.tensor([1.1]).log(), atol=0.03, rtol=0)
+    assert turn_error_deg(cameras, true) < 0.3
+    *_, log_focal = adjust_bundle(wrong, start, free, GRID, iterations=20)
+    assert log_focal.item() == 0
+
+
+def test_pairs_agree_with_the_focal_length_that_was_solved_for(rng):
+    # A camera turned by 0.6 radians: points that are placed with a focal length 2.5 times wrong do
+    # not come out where they are seen. With nearly parallel cameras they would.
+    true = cameras_on_a_path(2)
+    true[1] = rigid_from_twist(torch.tensor([-1.5, 0.0, 0.5, 0.0, 0.6, 0.0])) @ true[0]
+    sightings = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    taken = torch.tensor([2.5, 2.5, 1.0])
+    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+    solved = bundle._agreed_trust(wrong, true[None], torch.tensor([2.5]).log(), 0.15)
+    torch.testing.assert_close(
+        solved, bundle._agreed_trust(sightings, true[None], torch.zeros(1), 0.15)
+    )
+    assert solved.max() > 0.9
+    assert bundle._agreed_trust(wrong, true[None], torch.zeros(1), 0.15).max() == 0
+
+
+def test_a_right_focal_length_stays(rng):
+    true = cameras_on_a_path(3)
+    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
+    *_, log_focal = adjust_bundle(sightings, true[None], torch.ones(1, 3), GRID, focal_is_free=True)
+    assert log_focal.abs().item() < 1e-3

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
+from instok3d.photos.pixel_map import fit_pixels
+
+TRANSPOSE = {1: None, 3: Image.Transpose.ROTATE_180, 6: Image.Transpose.ROTATE_270,
+             8: Image.Transpose.ROTATE_90}  # fmt: skip
+
+
+def test_sixteen_bit_depth_by_hand(tmp_path):
+    # 1500 / 1000 = 1.5; 0 and 65535 are both "no depth".
+    Image.fromarray(np.array([[1500, 0], [65535, 40000]], np.uint16)).save(tmp_path / "d.png")
+    depth = read_depth(tmp_path / "d.png", scale=1000.0)
+    torch.testing.assert_close(depth, torch.tensor([[1.5, 0.0], [0.0, 40.0]]))
+
+
+@pytest.mark.parametrize("suffix", ["npy", "tif"])
+def test_float_depth_loses_what_is_not_finite_or_negative(tmp_path, suffix):
+    values = np.array([[1.25, np.nan], [np.inf, -2.0]], np.float32)
+    path = tmp_path / f"d.{suffix}"
+    np.save(path, values) if suffix == "npy" else Image.fromarray(values).save(path)
+    torch.testing.assert_close(read_depth(path, scale=1.0), torch.tensor([[1.25, 0], [0, 0]]))
+
+
+def test_cropped_depth_by_hand():
+    # 4 x 8 into 2 x 2: scale 1/2, two columns cut on each side. The centres of the model's pixels
+    # lie at (3, 1), (5, 1), (3, 3), (5, 3): floor gives the columns 3, 5 and rows 1, 3.
+    depth = torch.arange(32.0).view(4, 8)
+    pixel_map = fit_pixels(4, 8, 2, 2)
+    expected = torch.tensor([[11.0, 13.0], [27.0, 29.0]])
+    assert torch.equal(depth_at_model_pixels(depth, pixel_map), expected)
+
+
+def test_no_depth_lies_between_two_surfaces_and_holes_stay_holes():
+    depth = torch.ones(480, 640)
+    depth[:, 320:] = 5.0
+    depth[100:200] = 0.0
+    fitted = depth_at_model_pixels(depth, fit_pixels(480, 640, 37, 53))
+    assert set(fitted.unique().tolist()) == {0.0, 1.0, 5.0}
+
+
+def test_depth_of_a_smaller_sensor_covers_the_same_view():
+    depth = torch.zeros(24, 32)
+    depth[:, 16:] = 2.0
+    fitted = depth_at_model_pixels(depth, fit_pixels(480, 640, 48, 64))
+    assert (fitted[:, :32] == 0).all()
+    assert (fitted[:, 32:] == 2).all()
+
+
+def test_letterbox_bars_have_no_depth():
+    fitted = depth_at_model_pixels(torch.ones(4, 8), fit_pixels(4, 8, 8, 8, fit="letterbox"))
+    assert fitted.sum(dim=1).tolist() == [0, 0, 8, 8, 8, 8, 0, 0]
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_depth_turns_with_its_photo(orientation):
+    stored = np.arange(1, 13, dtype=np.uint8).reshape(3, 4)
+    image = Image.fromarray(stored)
+    turn = TRANSPOSE[orientation]
+    upright = np.asarray(image if turn is None else image.transpose(turn))
+    pixel_map = fit_pixels(*upright.shape, *upright.shape, exif_orientation=orientation)
+    found = depth_at_model_pixels(
+        torch.from_numpy(stored).float(), pixel_map, stored_orientation=orientation
+    )
+    assert np.array_equal(found.numpy(), upright)
+
+
+def test_bad_depth_files_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no depth file .*none\.png"):
+        read_depth(tmp_path / "none.png", scale=1.0)
+    (tmp_path / "text.png").write_text("depth")
+    with pytest.raises(ValueError, match=r"text\.png is not a depth picture"):
+        read_depth(tmp_path / "text.png", scale=1.0)
+    Image.new("RGB", (4, 4)).save(tmp_path / "color.png")
+    with pytest.raises(ValueError, match=r"color\.png has RGB pixels, wanted one"):
+        read_depth(tmp_path / "color.png", scale=1.0)
+    np.save(tmp_path / "three.npy", np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match=r"three\.npy holds float64 of shape \(2, 2, 3\)"):
+        read_depth(tmp_path / "three.npy", scale=1.0)
+    np.save(tmp_path / "objects.npy", np.array([[{}]]), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"objects\.npy is not a \.npy array of numbers"):
+        read_depth(tmp_path / "objects.npy", scale=1.0)
+    Image.fromarray(np.ones((64, 64), np.uint16)).save(tmp_path / "big.png")
+    with pytest.raises(ValueError, match=r"big\.png has 0\.0 megapixels, more than"):
+        read_depth(tmp_path / "big.png", scale=1.0, max_pixels=1000)
+    noise = np.random.default_rng(0).integers(0, 9999, (64, 64)).astype(np.uint16)
+    Image.fromarray(noise).save(tmp_path / "cut.png")
+    (tmp_path / "cut.png").write_bytes((tmp_path / "cut.png").read_bytes()[:2000])
+    with pytest.raises(ValueError, match=r"cut\.png is damaged or cut off"):
+        read_depth(tmp_path / "cut.png", scale=1.0)

@@ -1,0 +1,304 @@
+"""Training on cached features is training on the backbone, up to float16; misfits are refused."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from fake_rooms import FakeRooms
+from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
+from instok3d.data.batches import BatchConfig, SceneBatches
+from instok3d.data.sample import Sample
+from instok3d.model.files import load_model
+from instok3d.model.gaussian_head import GaussianHeadConfig
+from instok3d.model.tokenizer import TokenizerConfig
+from instok3d.training.cache.features import FeatureCache, scene_path
+from instok3d.training.cache.settings import check_cache, needed_inputs
+from instok3d.training.cache.writing import fill_cache
+from instok3d.training.config import TrainConfig, preset
+from instok3d.training.export import export_model
+from instok3d.training.held_out import validation_samples
+from instok3d.training.loop import train
+from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
+
+SIZES = TokenizerConfig(
+    width=64,
+    num_anchors=16,
+    num_groups=4,
+    anchor_layers=1,
+    group_layers=1,
+    gaussian_head=GaussianHeadConfig(gaussians_per_anchor=16),
+)
+BACKBONE = NanoConfig(width=64, layers=1)
+STAGE = TokenizerStageConfig(backbone=BACKBONE, tokenizer=SIZES)
+CONFIG = replace(
+    preset("nano-tokenizer"),
+    stage=STAGE,
+    batches=BatchConfig(batch_size=2, views=(2, 3), samples_per_scene=2),
+    holdout=1,
+    steps=2,
+    amp=False,
+)
+ROOMS = FakeRooms(4, size=32)
+FEW = FakeRooms(2, size=32)
+
+
+def backbone_weights(seed: int = 0) -> dict[str, torch.Tensor]:
+    torch.manual_seed(seed)
+    return NanoBackbone(BACKBONE).state_dict()
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cache")
+    filled = fill_cache(CONFIG, ROOMS, folder, backbone_weights())
+    # 3 training scenes x 2 numbers of views x 2 samples, and 1 held-out scene x 1 protocol.
+    assert (filled.scenes, filled.made, filled.samples) == (4, 4, 13)
+    return folder
+
+
+def with_cache(config: TrainConfig, folder: Path) -> TrainConfig:
+    assert isinstance(config.stage, TokenizerStageConfig)
+    return replace(config, stage=replace(config.stage, cache=folder))
+
+
+def stages(folder: Path) -> tuple[TokenizerStage, TokenizerStage]:
+    cached = with_cache(CONFIG, folder).stage
+    assert isinstance(cached, TokenizerStageConfig)
+    return TokenizerStage(STAGE), TokenizerStage(cached)
+
+
+def a_batch(views: int) -> Sample:
+    batches = SceneBatches(ROOMS, [1, 2, 3], CONFIG.batches, seed=CONFIG.seed)
+    return next(b for b in map(batches.batch, range(20)) if b.context.images.shape[1] == views)
+
+
+@pytest.mark.parametrize("views", [2, 3])
+def test_steps_and_gradients_are_those_of_the_backbone_in_every_mode(cache: Path, views: int):
+    uncached, cached = stages(cache)
+    torch.manual_seed(1)
+    full, light = uncached.build_model(), cached.build_model()
+    uncached.load_initial(full, backbone_weights())
+    own = {k: v for k, v in full.state_dict().items() if not k.startswith("backbone.")}
+    assert not light.load_state_dict(own, strict=False).unexpected_keys
+    assert not list(light.backbone.parameters())
+    sample, modes = a_batch(views), set()
+    for step in (0, 1, 4):  # photos alone, with intrinsics, with all given
+        expected, found = uncached.loss(full, sample, step), cached.loss(light, sample, step)
+        modes |= {name for name in found.terms if name.startswith("mse")}
+        # float16 keeps 11 bits; the untrained tokenizer passes them on about as they are.
+        torch.testing.assert_close(found.total, expected.total, rtol=3e-3, atol=1e-4)
+    assert modes == {"mse_given", "mse_predicted"}
+    with torch.autocast("cpu", torch.bfloat16):
+        expected, found = uncached.loss(full, sample, 0), cached.loss(light, sample, 0)
+    torch.testing.assert_close(found.total, expected.total, rtol=2e-2, atol=1e-3)
+    expected.total.backward()
+    found.total.backward()
+    for name, parameter in light.named_parameters():
+        other = full.get_parameter(name).grad
+        if other is not None and other.norm() > 1e-3:
+            assert parameter.grad is not None
+            assert (parameter.grad - other).norm() < 0.05 * other.norm(), name
+
+
+def test_a_run_without_its_backbone_validates_resumes_and_is_exported_whole(
+    cache: Path, tmp_path: Path
+):
+    config = with_cache(CONFIG, cache)
+    assert isinstance(config.stage, TokenizerStageConfig)
+    check_cache(FeatureCache(cache), config, ROOMS)
+    train(replace(config, steps=1), TokenizerStage(config.stage), ROOMS, tmp_path)
+    train(config, TokenizerStage(config.stage), ROOMS, tmp_path, resume=True)
+    saved = torch.load(next(tmp_path.glob("checkpoints/*2.pt")), weights_only=True)["model"]
+    assert [name for name in saved if name.startswith("backbone.")] == ["backbone.weights_sha256"]
+    export_model(tmp_path, tmp_path / "model.safetensors", half=False)
+    exported = load_model(tmp_path / "model.safetensors").backbone.state_dict()
+    for name, value in backbone_weights().items():
+        assert torch.equal(exported[name], value)
+
+
+def test_only_the_backbone_of_the_cache_is_taken_as_first_weights(cache: Path):
+    _, stage = stages(cache)
+    model = stage.build_model()
+    stage.load_initial(model, backbone_weights())
+    with pytest.raises(ValueError, match=r"weights sha256:.* were made by sha256:"):
+        stage.load_initial(model, backbone_weights(seed=1))
+    torch.manual_seed(2)
+    whole = TokenizerStage(STAGE)
+    other = whole.build_model()
+    whole.load_initial(other, backbone_weights())
+    stage.load_initial(model, other.state_dict())
+    assert torch.equal(model.fuse.color_proj.weight, other.fuse.color_proj.weight)
+
+
+def test_a_run_does_not_go_on_with_features_of_another_backbone(cache: Path, tmp_path: Path):
+    fill_cache(CONFIG, FEW, tmp_path, backbone_weights(seed=1))
+    state = stages(cache)[1].build_model().state_dict()
+    with pytest.raises(ValueError, match="begun with the features of another backbone"):
+        stages(tmp_path)[1].build_model().load_state_dict(state)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 1}, "seed: made with 0, wanted 1"),
+        ({"batches": replace(CONFIG.batches, samples_per_scene=3)}, "samples_per_scene: made"),
+        ({"batches": replace(CONFIG.batches, photometric=False)}, "photometric: made with True"),
+        ({"batches": replace(CONFIG.batches, views=(2, 8))}, r"views: made with \[2, 3\], wanted"),
+        ({"batches": replace(CONFIG.batches, samples_per_scene=None)}, "set batches.samples_per"),
+        ({"stage": replace(STAGE, backbone=NanoConfig(width=128))}, "stage.backbone.width: made"),
+        ({"validation_views": (8,)}, r"validation_views: made with \[2\], wanted \[8\]"),
+    ],
+)
+def test_other_settings_are_refused_with_both_values(cache: Path, change: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        check_cache(FeatureCache(cache), replace(CONFIG, **change), ROOMS)
+
+
+def test_settings_that_need_less_are_taken(cache: Path):
+    fewer = replace(CONFIG.batches, views=(3,), batch_size=7)
+    check_cache(FeatureCache(cache), replace(CONFIG, batches=fewer), ROOMS)
+    assert needed_inputs(STAGE) == ("photos", "intrinsics")
+    assert needed_inputs(replace(STAGE, given_probability=1.0)) == ("intrinsics",)
+    alone = replace(STAGE, given_probability=0.0, intrinsics_probability=0.0)
+    assert needed_inputs(alone) == ("photos",)
+
+
+def test_other_data_are_refused(cache: Path):
+    features = FeatureCache(cache)
+    with pytest.raises(KeyError, match="lacks 1 of 4 training scenes, the first is 4"):
+        check_cache(features, CONFIG, FakeRooms(5, size=32))
+    with pytest.raises(ValueError, match="its first frame differs"):
+        check_cache(features, CONFIG, FakeRooms(4, size=40))
+    other = validation_samples(FakeRooms(4, size=40), [0], 2)[0]
+    with pytest.raises(ValueError, match=r"images of \(40, 40\) pixels, .* from \(32, 32\)"):
+        features.geometry(other, given=False, intrinsics=False)
+    with pytest.raises(KeyError, match="no features of sample 0/4/0 from photos"):
+        features.geometry(replace(other, keys=("0/4/0",)), given=False, intrinsics=False)
+    with pytest.raises(ValueError, match=r"set batches\.samples_per_scene"):
+        features.geometry(replace(other, keys=()), given=False, intrinsics=False)
+
+
+def test_only_settings_with_a_frozen_backbone_and_fixed_samples_are_cached(tmp_path: Path):
+    learning = replace(CONFIG, stage=replace(STAGE, freeze_backbone=False))
+    with pytest.raises(ValueError, match="frozen backbone"):
+        fill_cache(learning, ROOMS, tmp_path, backbone_weights())
+    anew = replace(CONFIG, batches=BatchConfig())
+    with pytest.raises(ValueError, match=r"set batches\.samples_per_scene"):
+        fill_cache(anew, ROOMS, tmp_path, backbone_weights())
+    with pytest.raises(FileNotFoundError, match="instok3d train cache"):
+        FeatureCache(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cache_grows_and_replaces_a_damaged_file(cache: Path, tmp_path: Path):
+    fill_cache(CONFIG, FEW, tmp_path, backbone_weights())
+    torn = scene_path(tmp_path, "1")
+    torn.write_bytes(torn.read_bytes()[:1000])
+    with pytest.warns(UserWarning, match="is damaged"):
+        filled = fill_cache(CONFIG, ROOMS, tmp_path, backbone_weights())
+    assert (filled.scenes, filled.made) == (4, 3)
+    check_cache(FeatureCache(tmp_path), CONFIG, ROOMS)
+    assert torn.read_bytes() == scene_path(cache, "1").read_bytes()
+    with pytest.raises(ValueError, match=r"begun with other settings .*seed: made with 0"):
+        fill_cache(replace(CONFIG, seed=3), ROOMS, tmp_path, backbone_weights())
+
+
+class OneShortRoom(FakeRooms):
+    """Room 2 has too few frames for four views."""
+
+    def num_frames(self, number: int) -> int:
+        return 3 if number == 2 else super().num_frames(number)
+
+
+def test_a_scene_too_short_for_training_has_no_samples(tmp_path: Path):
+    rooms = OneShortRoom(3, size=32)
+    with pytest.warns(UserWarning, match="1 of 2 scenes are left out"):
+        filled = fill_cache(CONFIG, rooms, tmp_path, backbone_weights())
+    assert (filled.scenes, filled.samples) == (3, 5)
+    check_cache(FeatureCache(tmp_path), CONFIG, rooms)
+
+
+def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path: Path):
+    program = """
+        import os, signal
+        from pathlib import Path
+        from test_features import CONFIG, ROOMS, backbone_weights, fill_cache
+        from instok3d import files
+
+        def kill_in_the_second_scene(handle):
+            if list(Path({folder!r}, "scenes").glob("[0-9]*")):
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        files.os.fsync = kill_in_the_second_scene
+        fill_cache(CONFIG, ROOMS, Path({folder!r}), backbone_weights())
+    """
+    ended = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program.format(folder=str(tmp_path)))],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])},
+        check=False,
+    )
+    assert ended.returncode == -signal.SIGKILL
+    left = {path.name.startswith(".") for path in (tmp_path / "scenes").iterdir()}
+    assert left == {True, False}
+    filled = fill_cache(CONFIG, ROOMS, tmp_path, backbone_weights())
+    assert filled.made == 3
+    names = sorted(path.name for path in (tmp_path / "scenes").iterdir())
+    assert names == sorted(path.name for path in (cache / "scenes").iterdir())
+    for name in names:
+        assert (tmp_path / "scenes" / name).read_bytes() == (cache / "scenes" / name).read_bytes()
+
+
+def test_a_backbone_with_pointmaps_of_its_own_keeps_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    forward = NanoBackbone.forward
+
+    def with_point_head(self: NanoBackbone, views):
+        geometry = forward(self, views)
+        return replace(geometry, pointmaps=geometry.pointmaps * 1.5 + 0.25)
+
+    monkeypatch.setattr(NanoBackbone, "forward", with_point_head)
+    stage = replace(STAGE, given_probability=0.0, intrinsics_probability=0.0)
+    config = replace(CONFIG, stage=stage)
+    fill_cache(config, FEW, tmp_path, backbone_weights())
+    sample = SceneBatches(FEW, [1], CONFIG.batches, seed=CONFIG.seed).fixed_sample(1, 2, 0)
+    backbone = NanoBackbone(BACKBONE)
+    backbone.load_state_dict(backbone_weights())
+    with torch.no_grad():
+        expected = backbone(replace(sample.context, intrinsics=None, cam_from_world=None,
+                                    depths=None))  # fmt: skip
+    found = FeatureCache(tmp_path).geometry(sample, given=False, intrinsics=False)
+    torch.testing.assert_close(found.pointmaps, expected.pointmaps, rtol=1e-3, atol=1e-3)
+    with pytest.raises(ValueError, match="pointmaps of NanoBackbone depend on given cameras"):
+        fill_cache(CONFIG, FEW, tmp_path / "given", backbone_weights())
+
+
+def test_values_too_large_for_float16_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    forward = NanoBackbone.forward
+
+    def with_large_features(self: NanoBackbone, views):
+        geometry = forward(self, views)
+        return replace(geometry, features=geometry.features * 1e6)
+
+    monkeypatch.setattr(NanoBackbone, "forward", with_large_features)
+    with pytest.raises(ValueError, match="features may be cached as bfloat16"):
+        fill_cache(CONFIG, FEW, tmp_path, backbone_weights())
+    filled = fill_cache(CONFIG, FEW, tmp_path / "wide", backbone_weights(), dtype="bfloat16")
+    assert filled.made == 2
+
+
+def test_an_index_of_another_version_is_refused(tmp_path: Path):
+    (tmp_path / "features.json").write_text(json.dumps({"format": "instok3d-features-0"}))
+    with pytest.raises(ValueError, match="no index of cached features of this version"):
+        FeatureCache(tmp_path)
+    (tmp_path / "features.json").write_text("{")
+    with pytest.raises(ValueError, match="is damaged"):
+        FeatureCache(tmp_path)

