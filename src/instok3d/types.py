@@ -8,14 +8,67 @@ the centre of the top-left pixel is (0.5, 0.5), quaternions wxyz, colours sRGB i
 The world is the frame of the first view's camera unless a field says otherwise.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
-from jaxtyping import Float, Int
+import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
+
+# Not typing.Self: the run-time checks of the tests do not know it outside of decorated classes.
+AnyFlow = TypeVar("AnyFlow", bound="Flow")
+AnyScenes = TypeVar("AnyScenes", bound="Scenes")
 
 
 @dataclass(frozen=True)
-class Cameras:
+class Flow:
+    """Base of the stages below: operations on all the tensors of one at once."""
+
+    def map(self: AnyFlow, operation: Callable[[Tensor], Tensor]) -> AnyFlow:
+        """The stage with an operation applied to every tensor, nested stages included."""
+        return type(self)(**{name: _mapped(value, operation) for name, value in vars(self).items()})
+
+    def to(self: AnyFlow, *args: Any, **kwargs: Any) -> AnyFlow:
+        """The stage on a device, as `Tensor.to`."""
+        return self.map(lambda tensor: tensor.to(*args, **kwargs))
+
+    @classmethod
+    def concatenate(cls: type[AnyFlow], parts: Sequence[AnyFlow], axis: int = 0) -> AnyFlow:
+        """Several stages of one kind as one, every tensor joined along an axis, in order.
+
+        Indices in them, such as anchor_index, stay as they are.
+
+        Raises:
+            ValueError: No part, from which the other sizes would follow.
+        """
+        if not parts:
+            raise ValueError("nothing to concatenate: at least one part is needed, it may be empty")
+        names = vars(parts[0])
+        return cls(**{name: torch.cat([vars(p)[name] for p in parts], axis) for name in names})
+
+
+@dataclass(frozen=True)
+class Scenes(Flow):
+    """Base of stages that exist for one scene and for a batch of scenes."""
+
+    def scene(self: AnyScenes, index: int) -> AnyScenes:
+        """One scene of a batch, without the batch axis."""
+        return self.map(lambda tensor: tensor[index])
+
+    def batched(self: AnyScenes) -> AnyScenes:
+        """One scene as a batch of one."""
+        return self.map(lambda tensor: tensor[None])
+
+
+def _mapped(value: Any, operation: Callable[[Tensor], Tensor]) -> Any:
+    if isinstance(value, Flow):
+        return value.map(operation)
+    return None if value is None else operation(value)
+
+
+@dataclass(frozen=True)
+class Cameras(Scenes):
     """Where views stand and how they project."""
 
     cam_from_world: Float[Tensor, "*batch view 4 4"]
@@ -23,9 +76,24 @@ class Cameras:
     intrinsics: Float[Tensor, "*batch view 3 3"]
     """Pixels of the image that is rendered or that was taken."""
 
+    def view(self, index: int) -> "Cameras":
+        """The camera of one view; the view axis stays, of length 1. A negative index is refused.
+
+        Raises:
+            IndexError: There is no such view.
+        """
+        count = self.intrinsics.shape[-3]
+        if not 0 <= index < count:
+            raise IndexError(f"no view {index}; there are {count}, counted from 0")
+        return self.views([index])
+
+    def views(self, indices: Sequence[int]) -> "Cameras":
+        """The cameras of some views, in the order of the indices."""
+        return self.map(lambda tensor: tensor[..., list(indices), :, :])
+
 
 @dataclass(frozen=True)
-class Views:
+class Views(Flow):
     """Photos of one scene each, with cameras and depth where they are known."""
 
     images: Float[Tensor, "batch view 3 height width"]
@@ -39,7 +107,7 @@ class Views:
 
 
 @dataclass(frozen=True)
-class Geometry:
+class Geometry(Flow):
     """What a geometry backbone says of the views. World = the first view's camera."""
 
     features: Float[Tensor, "batch view patch channel"]
@@ -55,7 +123,7 @@ class Geometry:
 
 
 @dataclass(frozen=True)
-class Context:
+class Context(Flow):
     """X: one token for each patch of every view, with where the patch lies and how it looks."""
 
     tokens: Float[Tensor, "batch patch channel"]
@@ -71,7 +139,7 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Anchors:
+class Anchors(Flow):
     """Anchor tokens and where they stand."""
 
     positions: Float[Tensor, "batch anchor 3"]
@@ -83,7 +151,7 @@ class Anchors:
 
 
 @dataclass(frozen=True)
-class Gaussians:
+class Gaussians(Scenes):
     """3D Gaussians in world space, named and stored as gsplat takes them."""
 
     means: Float[Tensor, "*batch gaussian 3"]
@@ -99,9 +167,15 @@ class Gaussians:
     anchor_index: Int[Tensor, "*batch gaussian"]
     """The anchor that each Gaussian was decoded from: the row of per-anchor features."""
 
+    def rows(
+        self, which: slice | Bool[Tensor, " gaussian"] | Int[Tensor, " chosen"]
+    ) -> "Gaussians":
+        """Some Gaussians of one scene (no batch axis), by a slice, a mask or indices."""
+        return self.map(lambda tensor: tensor[which])
+
 
 @dataclass(frozen=True)
-class TokenGroups:
+class TokenGroups(Flow):
     """What the tokenizer returns: a scene as anchors, groups, and which anchor is whose."""
 
     anchors: Anchors
@@ -117,7 +191,7 @@ class TokenGroups:
 
 
 @dataclass(frozen=True)
-class Rendering:
+class Rendering(Scenes):
     """Pictures of Gaussians."""
 
     colors: Float[Tensor, "*batch view 3 height width"]

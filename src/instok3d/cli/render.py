@@ -82,16 +82,13 @@ def take_shots(
 ) -> Iterator[Shot]:
     """The pictures one after the other: together they could fill the memory."""
     from instok3d.scene.previews import colored_ids, to_uint8
-    from instok3d.types import Cameras
 
     background = (0.0, 0.0, 0.0) if only is None else (1.0, 1.0, 1.0)
     for view in range(len(path.cameras.intrinsics)):
-        camera = Cameras(
-            path.cameras.cam_from_world[view : view + 1], path.cameras.intrinsics[view : view + 1]
-        )
         seen = scene.render(
-            camera, path.height, path.width, only=only, ids=ids, background=background
-        )
+            path.cameras.view(view), path.height, path.width,
+            only=only, ids=ids, background=background,
+        )  # fmt: skip
         picture = to_uint8(seen.colors)[0]
         if seen.ids is None:
             yield Shot(picture, None, None)

@@ -36,14 +36,12 @@ class Sample:
 
     def to(self, device: torch.device | str) -> "Sample":
         """The same sample with its tensors on another device."""
-        return Sample(
-            context=_views_to(self.context, device),
-            target=_views_to(self.target, device),
+        return replace(
+            self,
+            context=self.context.to(device),
+            target=self.target.to(device),
             context_instances=self.context_instances.to(device),
             target_instances=self.target_instances.to(device),
-            names=self.names,
-            keys=self.keys,
-            frames=self.frames,
         )
 
 
@@ -82,8 +80,3 @@ def _join_views(parts: Sequence[Views]) -> Views:
             raise ValueError(f"{field.name} must be known in all samples of a batch or in none")
         joined[field.name] = torch.cat(known) if known else None
     return Views(**joined)  # pyright: ignore[reportArgumentType]
-
-
-def _views_to(views: Views, device: torch.device | str) -> Views:
-    known = {f.name: getattr(views, f.name) for f in fields(Views)}
-    return replace(views, **{k: t.to(device) for k, t in known.items() if t is not None})

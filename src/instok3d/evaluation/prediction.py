@@ -13,7 +13,7 @@ from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction,
 from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
 from instok3d.geometry.similarity import depth_scale
 from instok3d.render import render
-from instok3d.types import Cameras, Gaussians, Geometry, TokenGroups, Views
+from instok3d.types import Cameras, Geometry, TokenGroups, Views
 
 GeometryMode = Literal["predicted", "given"]
 """'predicted': the model sees bare photos. 'given': it also sees true cameras and depth."""
@@ -69,10 +69,8 @@ def predict(
     if sample.context.depths is None:
         raise ValueError("context.depths is missing; an evaluation sample carries true depth")
     groups = model(sample.context if mode == "given" else photos_only(sample.context))
-    gaussians, pi = _first(groups.gaussians), groups.assignment[0]
-    predicted = Cameras(
-        groups.geometry.cameras.cam_from_world[0], groups.geometry.cameras.intrinsics[0]
-    )
+    gaussians, pi = groups.gaussians.scene(0), groups.assignment[0]
+    predicted = groups.geometry.cameras.scene(0)
 
     def place(scale: float) -> Cameras:
         return cameras_in_prediction(
@@ -111,7 +109,3 @@ def _cameras(views: Views) -> Cameras:
     if views.cam_from_world is None or views.intrinsics is None:
         raise ValueError("cameras are missing; an evaluation sample carries the true ones")
     return Cameras(views.cam_from_world[0], views.intrinsics[0])
-
-
-def _first(gaussians: Gaussians) -> Gaussians:
-    return Gaussians(**{name: value[0] for name, value in vars(gaussians).items()})

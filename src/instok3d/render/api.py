@@ -65,17 +65,13 @@ def render(
     batched = gaussians.means.ndim == 3
     _check(gaussians, cameras, anchor_features, height, width)
     if not batched:
-        gaussians = Gaussians(**{name: value[None] for name, value in vars(gaussians).items()})
-        cameras = Cameras(cameras.cam_from_world[None], cameras.intrinsics[None])
+        gaussians, cameras = gaussians.batched(), cameras.batched()
         anchor_features = anchor_features[None] if anchor_features is not None else None
     dtype = torch.promote_types(gaussians.means.dtype, torch.float32)
     renderer = RENDERERS[_chosen(backend, dtype, gaussians.means.device, settings)]
     with torch.autocast(gaussians.means.device.type, enabled=False):
         rendering = renderer(
-            Gaussians(**{
-                name: value.to(dtype) if value.is_floating_point() else value.long()
-                for name, value in vars(gaussians).items()
-            }),
+            gaussians.map(lambda v: v.to(dtype) if v.is_floating_point() else v.long()),
             Cameras(cameras.cam_from_world.to(dtype), cameras.intrinsics.to(dtype).detach()),
             height,
             width,
@@ -89,8 +85,7 @@ def render(
         )  # fmt: skip
     if batched:
         return rendering
-    features = rendering.features[0] if rendering.features is not None else None
-    return Rendering(rendering.colors[0], rendering.alphas[0], rendering.depths[0], features)
+    return rendering.scene(0)
 
 
 def backends() -> dict[str, str]:

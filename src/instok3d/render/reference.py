@@ -63,7 +63,7 @@ def render_reference(
     for scene in range(gaussians.means.shape[0]):
         for view in range(cameras.intrinsics.shape[1]):
             values = _render_view(
-                Gaussians(**{name: value[scene] for name, value in vars(gaussians).items()}),
+                gaussians.scene(scene),
                 cameras.cam_from_world[scene, view],
                 cameras.intrinsics[scene, view],
                 (height, width),

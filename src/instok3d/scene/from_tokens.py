@@ -107,7 +107,7 @@ def with_objects(scene: Scene) -> Scene:
     rank[chosen] = torch.arange(len(chosen))
     rank_of_gaussian = rank[owner[scene.gaussians.anchor_index]]
     order = rank_of_gaussian.argsort(stable=True)
-    gaussians = Gaussians(**{name: value[order] for name, value in vars(scene.gaussians).items()})
+    gaussians = scene.gaussians.rows(order)
     counts = rank_of_gaussian.bincount(minlength=len(chosen) + 1)
     starts = counts.cumsum(0) - counts
 
@@ -115,8 +115,8 @@ def with_objects(scene: Scene) -> Scene:
     for position, group in enumerate(chosen):
         start, count = int(starts[position]), int(counts[position])
         if count:
-            own = {k: value[start : start + count] for k, value in vars(gaussians).items()}
-            found = _describe(Gaussians(**own), group, int(num_anchors[group]), sight)
+            own = gaussians.rows(slice(start, start + count))
+            found = _describe(own, group, int(num_anchors[group]), sight)
             objects.append(replace(found, gaussian_range=(start, count)))
     return replace(scene, gaussians=gaussians, objects=tuple(objects))
 
@@ -150,13 +150,9 @@ def _sight(scene: Scene) -> GroupSight:
     boxes = torch.zeros(num_views, num_groups + 1, 4, dtype=torch.long)
     near, far = scene.near_far
     for view in range(num_views):
-        camera = Cameras(
-            scene.cameras.cam_from_world[view : view + 1],
-            scene.cameras.intrinsics[view : view + 1],
-        )
         maps = group_maps(
-            scene.gaussians, scene.tokens.assignment, camera, scene.height, scene.width,
-            near=near, far=far,
+            scene.gaussians, scene.tokens.assignment, scene.cameras.view(view),
+            scene.height, scene.width, near=near, far=far,
         )  # fmt: skip
         winners = maps.groups.cpu()
         pixels[view] = winners.flatten().bincount(minlength=num_groups + 1)
@@ -174,10 +170,8 @@ Batched = TypeVar("Batched", Gaussians, Cameras)
 
 def _first(batch: Batched) -> Batched:
     """The one scene of the batch, float32."""
-    values = {name: value[0].detach() for name, value in vars(batch).items()}
-    return type(batch)(
-        **{k: value.float() if value.is_floating_point() else value for k, value in values.items()}
-    )
+    one = batch.scene(0).map(Tensor.detach)
+    return one.map(lambda value: value.float() if value.is_floating_point() else value)
 
 
 def _finite(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
@@ -187,7 +181,7 @@ def _finite(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
         rows &= value.isfinite().flatten(1).all(dim=1) if value.ndim > 1 else value.isfinite()
     if rows.all():
         return gaussians, []
-    kept = Gaussians(**{name: value[rows] for name, value in vars(gaussians).items()})
+    kept = gaussians.rows(rows)
     note = f"dropped {int((~rows).sum())} Gaussians that were not finite"
     warnings.warn(note, stacklevel=3)
     return kept, [note]

@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float, UInt8
@@ -79,13 +78,13 @@ def reconstruct(
         check_memory(*read_sizes(path), work, device=device, advice="give max_views (--max-views)")
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
     tokenizer = tokenizer.to(device).eval()
-    views = _to(photo_set.views, device)
+    views = photo_set.views.to(device)
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         begin("geometry")
         geometry = tokenizer.backbone(views)
         begin("tokens")
-        tokens = _to(tokenizer(views, geometry), "cpu")
+        tokens = tokenizer(views, geometry).to("cpu")
     begin("objects")
     notes = [TRAINED_ON_ROOMS] if model is None else []
     for note in notes:
@@ -125,14 +124,3 @@ def _scene_views(photos: PhotoSet) -> list[SceneView]:
 
 def _bytes(images: Float[Tensor, "view 3 height width"]) -> UInt8[Tensor, "view height width 3"]:
     return (images * 255).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
-
-
-def _to(stage: Any, device: str | torch.device) -> Any:
-    """A stage of the flow with all its tensors on a device."""
-    values = {}
-    for name, value in vars(stage).items():
-        if isinstance(value, Tensor):
-            values[name] = value.to(device)
-        else:
-            values[name] = None if value is None else _to(value, device)
-    return type(stage)(**values)

@@ -165,7 +165,7 @@ class Scene:
             start, count = self.object(name).gaussian_range
             rows[start : start + count] = True
         rows = rows.to(self.gaussians.means.device)
-        return Gaussians(**{name: value[rows] for name, value in vars(self.gaussians).items()})
+        return self.gaussians.rows(rows)
 
     def object_ids(self) -> Int[Tensor, " gaussian"]:
         """The id of the object of each Gaussian, 0 for the rest."""
@@ -203,11 +203,9 @@ class Scene:
         near, far = self.near_far
         maps = torch.zeros(len(cameras.intrinsics), height, width, dtype=torch.long)
         for view in range(len(maps)):
-            camera = Cameras(
-                cameras.cam_from_world[view : view + 1], cameras.intrinsics[view : view + 1]
-            )
             winners = group_maps(
-                gaussians, self.tokens.assignment, camera, height, width, near=near, far=far
-            )
+                gaussians, self.tokens.assignment, cameras.view(view), height, width,
+                near=near, far=far,
+            )  # fmt: skip
             maps[view] = id_of_group[winners.groups.cpu()]
         return maps

@@ -146,7 +146,7 @@ def collate_scenes(scenes: Sequence[TokenGroups], geometry: Geometry) -> TokenGr
         )
     most = max(scene.tokens.shape[1] for scene in scenes)
     return TokenGroups(
-        anchors=Anchors(**_joined([scene.anchors for scene in scenes], dim=0)),
+        anchors=Anchors.concatenate([scene.anchors for scene in scenes]),
         tokens=torch.cat([_padded(scene.tokens.mT, most).mT for scene in scenes]),
         assignment=torch.cat(
             [
@@ -154,7 +154,7 @@ def collate_scenes(scenes: Sequence[TokenGroups], geometry: Geometry) -> TokenGr
                 for s in scenes
             ]
         ),
-        gaussians=Gaussians(**_joined([scene.gaussians for scene in scenes], dim=0)),
+        gaussians=Gaussians.concatenate([scene.gaussians for scene in scenes]),
         geometry=geometry,
     )
 
@@ -201,19 +201,15 @@ def _from_middles(
         tokens = part.anchors.tokens[:, kept]
         anchors.append(Anchors(positions[None], tokens, where[None, kept]))
         rows = kept[part.gaussians.anchor_index[0]]
-        own = Gaussians(**{name: value[0, rows] for name, value in vars(part.gaussians).items()})
+        own = part.gaussians.scene(0).rows(rows)
         new_number = kept.cumsum(0) - 1 + count
         own = replace(own, anchor_index=new_number[own.anchor_index])
         gaussians.append(move_gaussians(own, world_from_first))
         count += int(kept.sum())
-    drawn = {name: value[None] for name, value in _joined(gaussians, dim=0).items()}
-    return Anchors(**_joined(anchors, dim=1)), Gaussians(**drawn)
+    joined = Gaussians.concatenate(gaussians)
+    return Anchors.concatenate(anchors, axis=1), joined.batched()
 
 
 def _padded(values: Tensor, count: int) -> Tensor:
     """With zeros behind the last column."""
     return torch.nn.functional.pad(values, (0, count - values.shape[-1]))
-
-
-def _joined(items: Sequence[Anchors] | Sequence[Gaussians], *, dim: int) -> dict[str, Tensor]:
-    return {name: torch.cat([vars(item)[name] for item in items], dim) for name in vars(items[0])}
