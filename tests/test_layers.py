@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
-ORDER = ["types", "files", "locking", "geometry", "render", "photos", "data", "rooms",
+ORDER = ["types", "errors", "files", "locking", "geometry", "render", "photos", "data", "rooms",
          "datasets", "weights", "backbones", "model", "semantics", "objectives", "scene",
          "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
 

@@ -7,9 +7,9 @@ import torch
 from instok3d.backbones.depth_anything3 import DepthAnything3Config
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.backbones.registry import BACKBONES, build_backbone
+from instok3d.errors import NotEnoughMemoryError
 from instok3d.model import available_memory, memory
 from instok3d.model.memory import (
-    NotEnoughMemoryError,
     Work,
     check_memory,
     count_parameters,

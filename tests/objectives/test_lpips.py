@@ -8,9 +8,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from instok3d.errors import MissingWeightsError
 from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.objectives.lpips_conversion import convert_lpips
-from instok3d.weights import MissingWeightsError, cache, find_entry
+from instok3d.weights import cache, find_entry
 from instok3d.weights.cache import place_of
 
 

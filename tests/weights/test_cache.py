@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from instok3d.errors import MissingWeightsError
 from instok3d.model.files import DEFAULT_MODEL
-from instok3d.weights import CATALOGUE, MissingWeightsError, find_entry, weights_path
+from instok3d.weights import CATALOGUE, find_entry, weights_path
 from instok3d.weights import cache as cache_module
 
 

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from instok3d.errors import MissingWeightsError
 from instok3d.weights import download
-from instok3d.weights.cache import MissingWeightsError, place_of, record_place
+from instok3d.weights.cache import place_of, record_place
 from instok3d.weights.catalogue import PackageFile, find_entry
 
 WEIGHTS = b"a network"

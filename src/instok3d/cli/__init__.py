@@ -10,6 +10,7 @@ from importlib import import_module
 import tyro
 
 from instok3d import __version__
+from instok3d.errors import MissingWeightsError
 
 COMMANDS = {
     "demo": "reconstruct the photos that come with the package",
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def exit_code(error: Exception) -> int | None:
     """The exit code that an error stands for; None for those that only a fault can raise."""
-    if any(kind.__name__ == "MissingWeightsError" for kind in type(error).__mro__):
+    if isinstance(error, MissingWeightsError):
         return MISSING_WEIGHTS
     if isinstance(error, MemoryError) or any(text in str(error) for text in OUT_OF_MEMORY):
         return RESOURCES

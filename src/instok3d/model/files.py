@@ -11,9 +11,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.backbones.registry import BACKBONES, build_backbone, name_of
+from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
-from instok3d.weights.cache import MissingWeightsError
 
 FORMAT = "instok3d-model-1"
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"

@@ -20,6 +20,7 @@ from instok3d.backbones.nano.matching import MATCH_STRIDE
 from instok3d.backbones.registry import build_backbone
 from instok3d.backbones.vggt.config import VGGTConfig
 from instok3d.backbones.vggt.dense_head import IMAGES_AT_ONCE
+from instok3d.errors import NotEnoughMemoryError
 from instok3d.model.available_memory import available_bytes, resident_bytes
 from instok3d.model.on_paper import on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
@@ -41,10 +42,6 @@ DEPTH_ANYTHING_3 = {"tiny": 684_991, "small": 34_299_463, "base": 135_366_599}
 MOST_VIEWS = 512
 """Larger counts are not looked for."""
 FLOAT = 4
-
-
-class NotEnoughMemoryError(MemoryError):
-    """What was asked for is predicted not to fit in memory."""
 
 
 @dataclass(frozen=True)

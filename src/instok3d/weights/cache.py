@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from instok3d.errors import MissingWeightsError
 from instok3d.files import write_json
 from instok3d.weights.catalogue import (
     HubFiles,
@@ -16,10 +17,6 @@ from instok3d.weights.catalogue import (
     WeightsEntry,
     find_entry,
 )
-
-
-class MissingWeightsError(FileNotFoundError):
-    """The weights that were asked for are not on this machine."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
+from instok3d.errors import NotEnoughMemoryError
 from instok3d.model import memory
-from instok3d.model.memory import NotEnoughMemoryError
 from instok3d.training.config import preset
 from instok3d.training.cost.estimate import check_memory, model_on_paper, training_memory_bytes
 

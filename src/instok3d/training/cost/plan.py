@@ -5,6 +5,7 @@ from pathlib import Path
 
 from instok3d.data.scenes import SceneSource
 from instok3d.data.view_sampling import frames_needed
+from instok3d.errors import MissingWeightsError
 from instok3d.training.config import TrainConfig
 from instok3d.training.cost.estimate import (
     PEAK_TFLOPS,
@@ -24,7 +25,7 @@ from instok3d.training.schedule import learning_rate
 from instok3d.training.stages.adapt import AdaptStageConfig
 from instok3d.training.stages.geometry import GeometryStageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
-from instok3d.weights import MissingWeightsError, weights_path
+from instok3d.weights import weights_path
 
 PAPER_BATCH = 32
 
