@@ -9,8 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.sample import Sample, photos_only
-from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction, refined_cameras
+from instok3d.evaluation.camera_refinement import refined_cameras
 from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
+from instok3d.geometry.camera_alignment import baseline_scale, cameras_in_prediction
 from instok3d.geometry.similarity import depth_scale
 from instok3d.render import render
 from instok3d.types import Cameras, Geometry, TokenGroups, Views

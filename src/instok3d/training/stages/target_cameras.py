@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.sample import Sample
-from instok3d.evaluation.alignment import baseline_scale, cameras_in_prediction
+from instok3d.geometry.camera_alignment import baseline_scale, cameras_in_prediction
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.similarity import depth_scale
 from instok3d.types import Cameras, Geometry, Views

@@ -4,11 +4,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from instok3d.evaluation.alignment import (
-    baseline_scale,
-    cameras_in_prediction,
-    refined_cameras,
-)
+from instok3d.evaluation.camera_refinement import refined_cameras
+from instok3d.geometry.camera_alignment import baseline_scale, cameras_in_prediction
 from instok3d.geometry.cameras import rigid
 from instok3d.geometry.rotations import quat_multiply, quat_to_matrix
 from instok3d.render import render

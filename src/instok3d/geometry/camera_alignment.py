@@ -7,24 +7,20 @@ the predicted world, and the cameras of the *context* views alone say how:
 - the length is the ratio of the true to the predicted baselines of the context cameras, summed
   over all pairs; no true depth is used;
 - the rotation is the mean over the context cameras, the shift brings the mean of their centres
-  together (`geometry.similarity.align_cameras`);
+  together (`similarity.align_cameras`);
 - the focal length is the true one times the mean ratio of predicted to true focal lengths of the
   context views.
 
 Where cameras were given to the model all this is the identity.
 """
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid
-from instok3d.geometry.registration import rigid_from_twist
 from instok3d.geometry.similarity import align_cameras
-from instok3d.render import render
-from instok3d.types import Cameras, Gaussians
+from instok3d.types import Cameras
 
 BASELINE_MIN = 1e-3
 """Shorter baselines, in either world, count as this long: then they say nothing of the scale."""
@@ -70,42 +66,4 @@ def cameras_in_prediction(
         intrinsics[:, axis, axis] *= (predicted / true).mean()
     return Cameras(
         (cam_from_true @ invert_rigid(predicted_from_true)).to(intrinsics.dtype), intrinsics
-    )
-
-
-def refined_cameras(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    photos: Float[Tensor, "view 3 height width"],
-    *,
-    steps: int,
-    learning_rate: float = 5e-3,
-) -> Cameras:
-    """Cameras moved until the renders look most like the photos: test-time pose alignment.
-
-    Adam on a rigid motion for each view against the L1 difference, the scene frozen. This shows
-    the evaluation the very photos that it is compared with, so figures made with it are marked.
-
-    Args:
-        gaussians: One scene.
-        cameras: Where to start; no batch axis.
-        photos: The true target photos.
-        steps: Steps of Adam; 0 gives the cameras back.
-        learning_rate: Of Adam, scene units and radians.
-    """
-    if steps == 0:
-        return cameras
-    twist = torch.zeros(len(photos), 6, device=photos.device, requires_grad=True)
-    optimizer = torch.optim.Adam([twist], lr=learning_rate)
-    height, width = photos.shape[-2:]
-    with torch.enable_grad():
-        for _ in range(steps):
-            moved = rigid_from_twist(twist) @ cameras.cam_from_world
-            image = render(gaussians, replace(cameras, cam_from_world=moved), height, width).colors
-            loss = (image - photos).abs().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-    return replace(
-        cameras, cam_from_world=rigid_from_twist(twist.detach()) @ cameras.cam_from_world
     )
