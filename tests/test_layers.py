@@ -4,9 +4,9 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
-ORDER = ["types", "errors", "files", "locking", "geometry", "render", "photos", "data", "rooms",
-         "datasets", "weights", "backbones", "model", "semantics", "objectives", "scene",
-         "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
+ORDER = ["types", "errors", "files", "locking", "pictures", "geometry", "render", "photos",
+         "data", "rooms", "datasets", "weights", "backbones", "model", "semantics", "objectives",
+         "scene", "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
 
 
 def imported_layers(tree: ast.AST) -> set[str]:

@@ -150,7 +150,8 @@ def test_a_sheet_has_a_row_for_contexts_and_one_for_each_target(tmp_path, flat_s
     prediction = predict(oracle(flat_sample), flat_sample, "given")
     write_sheet(tmp_path / "sheet.png", flat_sample, prediction, zoom=2)
     with Image.open(tmp_path / "sheet.png") as image:
-        assert image.size == (2 * (4 * 36 + 4), 2 * (2 * 36 + 4))
+        # Tiles of 32 pixels twice as large, gaps of 6, a title and a line of labels of 16.
+        assert image.size == (6 + 4 * (64 + 6), 6 + 16 + (64 + 6) + (64 + 16 + 6))
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
 
 

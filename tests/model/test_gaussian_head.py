@@ -1,7 +1,8 @@
 import pytest
 import torch
 
-from instok3d.model.gaussian_head import SH_CONSTANT, GaussianHead, GaussianHeadConfig
+from instok3d.geometry.spherical_harmonics import SH_CONSTANT
+from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.types import Anchors, Context
 
 

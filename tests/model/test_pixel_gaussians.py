@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from instok3d.model.gaussian_head import SH_CONSTANT
+from instok3d.geometry.spherical_harmonics import SH_CONSTANT
 from instok3d.model.pixel_gaussians import (
     INITIAL_SCALE_PIXELS,
     LARGEST_CHANGE,

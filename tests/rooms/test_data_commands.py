@@ -40,7 +40,7 @@ def test_rooms_are_made_resumed_and_shown(tmp_path, capsys):
     assert main(["data", "preview", str(folder), "--views", "3"]) == OK
     assert capsys.readouterr().out == f"{folder / 'preview.png'}\n"
     sheet = np.array(Image.open(folder / "preview.png"))
-    assert sheet.shape[1:] == (3 * 32, 3)
+    assert sheet.shape[1:] == (6 + 3 * (128 + 6), 3)
     other = tmp_path / "sheet.png"
     for _ in range(2):  # the second replaces the first
         assert main(["data", "preview", str(folder), "-o", str(other), "--views", "3"]) == OK

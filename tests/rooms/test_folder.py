@@ -12,9 +12,10 @@ import pytest
 pytest.importorskip("embreex")
 
 from instok3d.files import write_json
+from instok3d.pictures import GAP, LINE
 from instok3d.rooms import RoomDataset, generate, shards
 from instok3d.rooms.generate import GenerationReport, generate_rooms
-from instok3d.rooms.preview import CAPTION_HEIGHT, contact_sheet
+from instok3d.rooms.preview import rooms_sheet
 from instok3d.rooms.scene import RenderedScene, render_scene
 from instok3d.rooms.shards import (
     ShardRecord,
@@ -240,25 +241,28 @@ def test_another_process_makes_the_same_scene():
 
 def test_contact_sheet_shows_scenes_spread_over_the_folder(folder):
     scenes = put(folder, 0, 1, 2, 3)
-    sheet = contact_sheet(RoomDataset(folder), scenes=2, views=4)
-    height = CAPTION_HEIGHT + 3 * 16
-    assert sheet.shape == (2 * height, 4 * 16, 3)
-    for row, scene in ((0, scenes[0]), (height, scenes[2])):  # the first and the last
-        top = row + CAPTION_HEIGHT
-        assert sheet[row:top].max() > 128  # text
+    sheet = np.array(rooms_sheet(RoomDataset(folder), scenes=2, views=4))
+    cell = 128  # frames of 16 pixels are enlarged eight times
+    height = LINE + 3 * (cell + GAP)
+    assert sheet.shape == (GAP + 2 * height, GAP + 4 * (cell + GAP), 3)
+    for row, scene in ((GAP, scenes[0]), (GAP + height, scenes[2])):  # the first and the last
+        top = row + LINE
+        assert sheet[row:top].min() < 128  # text
         for column, frame in enumerate((0, 5, 10, 15)):
-            tile = sheet[top : top + 16, column * 16 : column * 16 + 16]
+            left = GAP + column * (cell + GAP)
+            tile = sheet[top : top + cell : 8, left : left + cell : 8]
             np.testing.assert_array_equal(tile, scene.images[frame])
-        instances = sheet[top + 16 : top + 32, :16].reshape(-1, 3)
+        below = top + cell + GAP
+        instances = sheet[below : below + cell : 8, GAP : GAP + cell : 8].reshape(-1, 3)
         for value in np.unique(scene.instances[0])[:20]:
             assert len(np.unique(instances[scene.instances[0].ravel() == value], axis=0)) == 1
-        depth = sheet[top + 32 : top + 48]
-        assert depth.max() == 255
+        depth = sheet[below + cell + GAP : below + 2 * cell + GAP, GAP : GAP + cell]
+        assert len(np.unique(depth)) > 1
 
 
 def test_contact_sheet_of_nothing_is_refused(folder):
     with pytest.raises(ValueError, match="no finished rooms in"):
-        contact_sheet(RoomDataset(folder))
+        rooms_sheet(RoomDataset(folder))
     put(folder, 0, 1)
     with pytest.raises(ValueError, match="1 or more scenes and views, got 0 and 8"):
-        contact_sheet(RoomDataset(folder), scenes=0)
+        rooms_sheet(RoomDataset(folder), scenes=0)

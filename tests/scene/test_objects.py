@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from instok3d.geometry.rotations import quat_to_matrix
-from instok3d.scene.objects import SceneObject, describe_shape, display_color
+from instok3d.pictures import display_color
+from instok3d.scene.objects import SceneObject, describe_shape
 from instok3d.scene.scene import Scene
 from instok3d.types import Gaussians
 

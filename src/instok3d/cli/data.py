@@ -61,19 +61,17 @@ def preview(
         scenes: Rooms, spread over the folder.
         views: Frames of each, spread over its path.
     """
-    from PIL import Image
-
     from instok3d.cli.targets import check_file
     from instok3d.files import replacing
     from instok3d.rooms import RoomDataset
-    from instok3d.rooms.preview import contact_sheet
+    from instok3d.rooms.preview import rooms_sheet
 
     path = folder / "preview.png" if output is None else output
     dataset = RoomDataset(folder)
     check_file(path, overwrite=True, endings=(".png",))
-    sheet = contact_sheet(dataset, scenes, views)
+    sheet = rooms_sheet(dataset, scenes, views)
     with replacing(path) as part:
-        Image.fromarray(sheet).save(part, "PNG")
+        sheet.save(part, "PNG")
     print(path)
 
 

@@ -81,7 +81,7 @@ def take_shots(
     scene: "Scene", path: "CameraPath", only: int | str | None, *, ids: bool
 ) -> Iterator[Shot]:
     """The pictures one after the other: together they could fill the memory."""
-    from instok3d.scene.previews import colored_ids, to_uint8
+    from instok3d.pictures import color_picture, id_picture
 
     background = (0.0, 0.0, 0.0) if only is None else (1.0, 1.0, 1.0)
     for view in range(len(path.cameras.intrinsics)):
@@ -89,11 +89,11 @@ def take_shots(
             path.cameras.view(view), path.height, path.width,
             only=only, ids=ids, background=background,
         )  # fmt: skip
-        picture = to_uint8(seen.colors)[0]
+        picture = color_picture(seen.colors[0])
         if seen.ids is None:
             yield Shot(picture, None, None)
         else:
-            yield Shot(picture, seen.ids[0].numpy(), colored_ids(scene, seen.ids)[0])
+            yield Shot(picture, seen.ids[0].numpy(), id_picture(seen.ids[0]))
 
 
 def write_pictures(shots: Iterator[Shot], folder: Path) -> int:

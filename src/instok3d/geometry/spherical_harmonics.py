@@ -7,6 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 DEGREE_OF_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
+SH_CONSTANT = 0.28209479177387814
+"""The constant basis function, 1 / (2 sqrt(pi)): colour = 0.5 + SH_CONSTANT * coefficient 0."""
 
 
 def sh_degree(sh: Float[Tensor, "*batch coefficient channel"]) -> int:
@@ -27,7 +29,7 @@ def sh_basis(
     """Values of the (degree + 1)^2 basis functions in unit directions."""
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
-    values = [torch.full_like(x, 0.28209479177387814)]
+    values = [torch.full_like(x, SH_CONSTANT)]
     if degree > 0:
         values += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
     if degree > 1:

@@ -9,11 +9,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from instok3d.geometry.spherical_harmonics import SH_CONSTANT
 from instok3d.model.anchors import gather_rows
 from instok3d.types import Anchors, Context, Gaussians
 
-SH_CONSTANT = 0.28209479177387814
-"""Value of the constant spherical harmonic: colour = 0.5 + SH_CONSTANT * coefficient."""
 MAX_EXPANSION = 3.0
 NEIGHBOURS = 3
 

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from instok3d.backbones.base import GeometryBackbone
-from instok3d.model.gaussian_head import SH_CONSTANT, harmonic_damping
+from instok3d.geometry.spherical_harmonics import SH_CONSTANT
+from instok3d.model.gaussian_head import harmonic_damping
 from instok3d.types import Gaussians, Geometry, Views
 
 INITIAL_SCALE_PIXELS = 0.6

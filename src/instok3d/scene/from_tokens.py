@@ -11,8 +11,9 @@ from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.moving import move_gaussians
+from instok3d.pictures import display_color
 from instok3d.scene.id_maps import group_maps
-from instok3d.scene.objects import BestView, SceneObject, describe_shape, display_color
+from instok3d.scene.objects import BestView, SceneObject, describe_shape
 from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView
 from instok3d.types import Cameras, Gaussians, TokenGroups
 

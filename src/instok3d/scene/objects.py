@@ -1,6 +1,5 @@
 """What a scene says of each of its objects: where it is, how large, where it is seen best."""
 
-import colorsys
 import math
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -106,14 +105,6 @@ class SceneObject:
             ),
             label=None if value.get("label") is None else str(value["label"]),
         )
-
-
-def display_color(object_id: int) -> str:
-    """A colour for an id; hues step by the golden ratio, so that neighbours differ clearly."""
-    hue = (object_id * 0.61803398875) % 1.0
-    value = (0.95, 0.75, 0.55)[object_id % 3]
-    red, green, blue = colorsys.hsv_to_rgb(hue, 0.75, value)
-    return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
 
 
 def describe_shape(gaussians: Gaussians) -> tuple[AlignedBox, OrientedBox, Point]:

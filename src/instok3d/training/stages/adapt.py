@@ -22,9 +22,9 @@ from instok3d.evaluation.geometry_errors import depth_errors
 from instok3d.evaluation.image_quality import psnr
 from instok3d.model.pixel_gaussians import PixelGaussianConfig, PixelGaussians, PixelScene
 from instok3d.objectives.rendering import rendering_loss
+from instok3d.pictures import color_picture, contact_sheet, depth_picture, titled_rows
 from instok3d.render import render
 from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
-from instok3d.training.pictures import color_picture, contact_sheet, depth_picture
 from instok3d.training.stages.stage import StepLoss
 from instok3d.training.stages.target_cameras import TargetCameras, cameras_of_targets
 from instok3d.types import Rendering
@@ -159,9 +159,8 @@ class AdaptStage:
                     depth_picture(rendering.depths[k, 0], farthest=farthest),
                 ]
             )
-        return contact_sheet(
-            rows, ["first", "last", "target", "render", "depth of first", "depth of target"]
-        )
+        titles = ["first", "last", "target", "render", "depth of first", "depth of target"]
+        return contact_sheet(titled_rows(rows, titles))
 
     def _run(self, model: nn.Module, sample: Sample, *, told: bool) -> tuple[PixelScene, Rendering]:
         scene: PixelScene = model(photos_only(sample.context, keep_intrinsics=told))

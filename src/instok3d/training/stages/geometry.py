@@ -16,7 +16,7 @@ from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.objectives.geometry import DepthLoss, depth_loss, geometry_loss
-from instok3d.training.pictures import color_picture, contact_sheet, depth_picture
+from instok3d.pictures import color_picture, contact_sheet, depth_picture, titled_rows
 from instok3d.training.stages.stage import StepLoss
 from instok3d.types import Views
 
@@ -134,6 +134,5 @@ class GeometryStage:
                     depth_picture(true[view], farthest=farthest),
                     depth_picture(predicted[view] * scale, farthest=farthest),
                 ]
-        return contact_sheet(
-            rows, ["first", "true depth", "predicted", "last", "true", "predicted"]
-        )
+        titles = ["first", "true depth", "predicted", "last", "true", "predicted"]
+        return contact_sheet(titled_rows(rows, titles))

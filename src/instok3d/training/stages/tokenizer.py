@@ -29,10 +29,10 @@ from instok3d.objectives.assignment import AssignmentLoss, assignment_loss
 from instok3d.objectives.matching import Pairs
 from instok3d.objectives.rendering import rendering_loss
 from instok3d.objectives.segmentation import SegmentationLoss, segmentation_loss
+from instok3d.pictures import color_picture, contact_sheet, id_picture, titled_rows
 from instok3d.render import render
 from instok3d.training.cache.features import FeatureCache, of_backbone
 from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
-from instok3d.training.pictures import color_picture, contact_sheet, id_picture
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages.stage import StepLoss
 from instok3d.training.stages.target_cameras import TargetCameras, cameras_of_targets
@@ -265,7 +265,7 @@ class TokenizerStage:
                 winners = predicted_masks(rendering.features[k, 0], rendering.alphas[k, 0]).ids
                 row.append(color_picture(rendering.colors[k, 0]))
                 row.append(id_picture(torch.from_numpy(winners) + 1))
-        return contact_sheet(rows, columns)
+        return contact_sheet(titled_rows(rows, columns))
 
     def _run(
         self, model: Tokenizer, sample: Sample, *, given: bool, intrinsics: bool = False

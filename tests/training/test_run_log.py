@@ -1,36 +1,9 @@
 import json
 
-import numpy as np
-import torch
 from PIL import Image
 
-from instok3d.training.pictures import color_picture, contact_sheet, depth_picture, id_picture
 from instok3d.training.plots import COLORS, plot_curves
 from instok3d.training.run_log import RunLog, format_duration, read_metrics
-
-
-def test_sheet_enlarges_by_a_whole_factor_and_keeps_colours():
-    red = np.full((10, 20, 3), (255, 0, 0), np.uint8)
-    sheet = contact_sheet([[red, red], [red]], ["one", "two"], min_cell=25)
-    # 10 rows become 30, 20 columns 60; gaps of 4 around, a line of titles of 14 on top.
-    assert sheet.size == (2 * 64 + 4, 2 * 34 + 4 + 14)
-    assert sheet.getpixel((40, 60)) == (255, 0, 0)
-    assert sheet.getpixel((100, 60)) == (255, 255, 255)
-
-
-def test_void_is_black_and_ids_differ():
-    picture = id_picture(torch.tensor([[0, 1, 2], [3, 40, -1]]))
-    assert picture[0, 0].tolist() == [0, 0, 0]
-    assert picture[1, 2].tolist() == [64, 64, 64]
-    assert len({tuple(p) for p in picture.reshape(-1, 3).tolist()}) == 6
-    assert not id_picture(torch.zeros(2, 2, dtype=torch.long)).any()
-
-
-def test_pictures_are_cut_to_bytes():
-    image = torch.tensor([-1.0, 0.5, 2.0]).view(1, 1, 3).expand(3, 1, 3)
-    assert color_picture(image)[0, :, 0].tolist() == [0, 128, 255]
-    depths = torch.tensor([[0.0, 1.0, 2.0, 9.0]])
-    assert depth_picture(depths, farthest=2.0)[0, :, 0].tolist() == [0, 128, 0, 0]
 
 
 def test_curves_show_training_and_validation(tmp_path):
