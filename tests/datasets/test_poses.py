@@ -12,3 +12,6 @@ def test_only_rigid_finite_poses_are_sound():
     assert pose_fault(np.diag([2.0, 2.0, 2.0, 1.0])) == NOT_RIGID
     assert pose_fault(np.diag([1.0, 1.0, -1.0, 1.0])) == NOT_RIGID
     assert pose_fault(turned + np.eye(4)[3]) == NOT_RIGID
+    far = turned.copy()
+    far[0, 3] = 1e30
+    assert pose_fault(far) == NOT_RIGID

@@ -1,16 +1,19 @@
 """Which camera poses of a data set can be used."""
 
 import numpy as np
+import torch
 from jaxtyping import Float
+
+from instok3d.geometry.checks import rigid_fault
 
 NO_POSE = "a pose that is not finite"
 NOT_RIGID = "a pose that is not rigid"
+_TOLERANCE = 0.02
+"""Of ScanNet's and RealEstate10K's rotations, which are rounded more than own cameras may be."""
 
 
 def pose_fault(pose: Float[np.ndarray, "4 4"]) -> str | None:
     """Why a frame with this pose is dropped; None where the pose is sound."""
     if not np.isfinite(pose).all():
         return NO_POSE
-    gram = pose[:3, :3].T @ pose[:3, :3]
-    rigid = np.allclose(gram, np.eye(3), atol=0.02) and np.linalg.det(pose[:3, :3]) > 0
-    return None if rigid and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-4) else NOT_RIGID
+    return None if rigid_fault(torch.tensor(pose), tolerance=_TOLERANCE) is None else NOT_RIGID
