@@ -83,18 +83,21 @@ class VGGTBackbone(GeometryBackbone):
             )
 
     def adapted_parameters(self) -> list[nn.Parameter]:
-        """The parameters that features and pointmaps depend on: all that the first stage trains.
+        """The parameters that get a gradient from features and pointmaps: what a stage can train.
 
         Without the heads that are not asked, without the camera head where it only says where the
-        cameras are, and without the encoder's mask token.
+        cameras are, and without the encoder's mask token and the camera head's first pose.
         """
         heads = {
             "points": [self.vggt.point_head],
             "depths": [self.vggt.depth_head, self.vggt.camera_head],
         }[self.config.geometry_from]
         parts = [self.vggt.aggregator, *heads]
-        unused = self.vggt.aggregator.patch_embed.mask_token
-        return [each for part in parts for each in part.parameters() if each is not unused]
+        unused = {
+            id(self.vggt.aggregator.patch_embed.mask_token),
+            id(self.vggt.camera_head.empty_pose_tokens),
+        }
+        return [each for part in parts for each in part.parameters() if id(each) not in unused]
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,9 @@ class CameraHead(nn.Module):
     ) -> Float[Tensor, "batch view 9"]:
         """Translation, quaternion xyzw (of any length) and fields of view (height, width; >= 0).
 
-        Camera from world, in units of the network. Each round's gradient ends at the pose that it
-        started from.
+        Camera from world, in units of the network. As in the published code, a round takes the
+        pose that it starts from as a number: the gradient is that of the last round's change, and
+        none reaches `empty_pose_tokens`, which the first round alone reads.
         """
         tokens = self.token_norm(camera_tokens)
         plain = functional.layer_norm(tokens, tokens.shape[-1:], eps=1e-6)
@@ -51,7 +52,7 @@ class CameraHead(nn.Module):
         for _ in range(ROUNDS):
             shift, scale, gate = self.poseLN_modulation(self.embed_pose(known)).chunk(3, dim=-1)
             modulated = tokens + gate * (plain * (1 + scale) + shift)
-            pose = pose + self.pose_branch(self.trunk_norm(self.trunk(modulated)))
+            pose = pose.detach() + self.pose_branch(self.trunk_norm(self.trunk(modulated)))
             known = pose.detach()
         return torch.cat([pose[..., :7], pose[..., 7:].relu()], dim=-1)
 
