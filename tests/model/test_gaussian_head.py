@@ -1,9 +1,11 @@
+from math import log
+
 import pytest
 import torch
 
 from instok3d.geometry.spherical_harmonics import SH_CONSTANT
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
-from instok3d.types import Anchors, Context
+from instok3d.types import Anchors, Context, Gaussians
 
 
 def flat_wall(*, patches: int = 6, cells_per_side: int = 2, channels: int = 8) -> Context:
@@ -29,7 +31,56 @@ def without_mlp(head: GaussianHead) -> GaussianHead:
     return head
 
 
+def saying(head: GaussianHead) -> GaussianHead:
+    """Whatever the anchor: offset 0.5, 0, -0.5; log scales log 2, -log 2, 0; quaternion 3, 0, 4, 0;
+    opacity log 3; colour 2 in every coefficient."""
+    numbers = torch.full((sum(head.sizes),), 2.0)
+    told = [0.5, 0, -0.5, log(2), -log(2), 0, 3, 0, 4, 0, log(3)]
+    numbers[: len(told)] = torch.tensor(told)
+    with torch.no_grad():
+        head.out.bias.copy_(numbers.repeat(head.config.gaussians_per_anchor))
+    return without_mlp(head)
+
+
+def assert_told(gaussians: Gaussians, *, starts: torch.Tensor, bound: float, scale: float) -> None:
+    """What `saying` says, from these places and this scale."""
+    # tanh(0.5) = 0.462117; a twice, half and once as large deviation.
+    offset = bound * torch.tensor([0.462117, 0, -0.462117])
+    torch.testing.assert_close(
+        gaussians.means - starts, offset.expand_as(starts), rtol=1e-4, atol=1e-6
+    )
+    scales = scale * torch.tensor([2, 0.5, 1])
+    torch.testing.assert_close(gaussians.scales, scales.expand_as(starts))
+    quats = torch.tensor([0.6, 0, 0.8, 0])
+    torch.testing.assert_close(gaussians.quats, quats.expand_as(gaussians.quats))
+    # 3 / (3 + 1).
+    torch.testing.assert_close(gaussians.opacities, torch.full_like(gaussians.opacities, 0.75))
+
+
 SURFACE = GaussianHeadConfig(gaussians_per_anchor=4)
+
+
+def test_what_the_head_says_moves_gaussians_from_their_cells_by_hand():
+    # Cells are 0.2 apart: at most 4 x 0.2 = 0.8 away, 0.6 x 0.2 = 0.12 wide.
+    context = flat_wall()
+    gaussians = saying(GaussianHead(8, SURFACE))(anchors_on(context, [0, 1, 2, 3, 4, 5]), context)
+    cells = context.cells.flatten(1, 2)
+    assert_told(gaussians, starts=cells[..., :3], bound=0.8, scale=0.12)
+    # The constant is added to that of the cell's colour, the next band is an eighth.
+    constant = (cells[..., 3:] - 0.5) / SH_CONSTANT + 2
+    torch.testing.assert_close(gaussians.sh[..., 0, :], constant)
+    torch.testing.assert_close(gaussians.sh[..., 1:, :], torch.full((1, 24, 3, 3), 2 / 8))
+
+
+def test_what_the_head_says_moves_gaussians_from_their_anchor_by_hand():
+    context = flat_wall()
+    config = GaussianHeadConfig(gaussians_per_anchor=5, seeding="anchor", sh_degree=2)
+    anchors = anchors_on(context, [0, 2, 5])
+    gaussians = saying(GaussianHead(8, config))(anchors, context)
+    starts = anchors.positions.repeat_interleave(5, dim=1)
+    assert_told(gaussians, starts=starts, bound=0.1, scale=0.03)
+    sh = torch.tensor([2.0] + [2 / 8] * 3 + [2 / 32] * 5)
+    torch.testing.assert_close(gaussians.sh, sh[:, None].expand(1, 15, 9, 3))
 
 
 def test_surface_gaussians_start_on_their_cells_in_their_colours():

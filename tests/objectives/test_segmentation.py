@@ -1,9 +1,11 @@
+from itertools import permutations
 from math import log
 
 import pytest
 import torch
 from torch.nn import functional
 
+from instok3d.objectives.matching import Pairs
 from instok3d.objectives.segmentation import segmentation_loss
 
 
@@ -135,3 +137,53 @@ def test_maps_of_exactly_zero_and_one_stay_finite():
     loss.total.backward()
     assert loss.total.isfinite()
     assert maps.grad.isfinite().all()
+
+
+def two_groups(first: tuple[float, float], second: tuple[float, float]) -> torch.Tensor:
+    """Maps of two groups, alike over the left and over the right half of a view."""
+    maps = torch.empty(1, 1, 2, 8, 8)
+    for group, (left, right) in enumerate((first, second)):
+        maps[0, 0, group, :, :4], maps[0, 0, group, :, 4:] = left, right
+    return maps
+
+
+def left_half() -> torch.Tensor:
+    instances = torch.zeros(1, 1, 8, 8, dtype=torch.long)
+    instances[..., :4] = 1
+    return instances
+
+
+def test_a_group_that_is_everywhere_is_no_better_match_for_being_sure_by_hand():
+    # BCE of the first: (-log .9 - log .1) / 2 = 1.204; of the second: -log .8 = 0.223.
+    # By the instance's own pixels alone, -log(m / (1 - m)), the first would be the cheaper.
+    maps = two_groups((0.9, 0.9), (0.8, 0.2))
+    loss = segmentation_loss(maps, left_half(), dice_weight=0.0)
+    assert loss.total.item() == pytest.approx(-log(0.8), abs=1e-5)
+
+
+def test_dice_decides_where_bce_has_no_weight_by_hand():
+    # Dice of the first: 1 - (2 * 32 * .1 + 1) / (64 * .1 + 32 + 1) = 0.812; of the second, with
+    # .9 and .1: 1 - (2 * 32 * .9 + 1) / (32 + 32 + 1) = 0.098.
+    maps = two_groups((0.1, 0.1), (0.9, 0.1))
+    loss = segmentation_loss(maps, left_half(), bce_weight=0.0)
+    assert loss.total.item() == pytest.approx(1 - 58.6 / 65, abs=1e-5)
+
+
+@pytest.mark.parametrize("weights", [(1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (3.0, 0.5)])
+@pytest.mark.parametrize("ignore_unlabelled", [False, True])
+def test_the_pairs_are_the_cheapest_of_all_by_trying(rng, weights, ignore_unlabelled):
+    maps, instances = some_maps(rng, batch=1), some_instances(rng, batch=1)
+    settings = {
+        "bce_weight": weights[0],
+        "dice_weight": weights[1],
+        "min_pixels": 1,
+        "ignore_unlabelled": ignore_unlabelled,
+    }
+    ids = torch.tensor([1, 2, 3])
+    costs = [
+        segmentation_loss(maps, instances, pairs=[Pairs(torch.tensor(groups), ids)], **settings)
+        for groups in permutations(range(5), 3)
+    ]
+    cheapest = min(float(each.total) for each in costs)
+    found = segmentation_loss(maps, instances, **settings)
+    assert found.total.item() == pytest.approx(cheapest, rel=1e-5)

@@ -305,3 +305,53 @@ def test_a_right_focal_length_stays(rng):
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
     *_, log_focal = adjust_bundle(sightings, true[None], torch.ones(1, 3), GRID, focal_is_free=True)
     assert log_focal.abs().item() < 1e-3
+
+
+def test_a_focal_length_that_nothing_speaks_for_goes_back_to_the_guess_by_hand(rng):
+    # Without a trusted match only the prior is left, whose Gauss-Newton step is -log_focal; a step
+    # is cut at 0.1. From 0.25: 0.15, 0.05, 0.
+    true = cameras_on_a_path(2)
+    sightings = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    unsure = replace(sightings, trust=torch.zeros_like(sightings.trust))
+    for iterations, expected in ((1, 0.15), (2, 0.05), (3, 0.0)):
+        *_, found = adjust_bundle(
+            unsure, true[None], torch.ones(1, 2), GRID,
+            focal_is_free=True, log_focal=torch.tensor([0.25]), iterations=iterations,
+        )  # fmt: skip
+        assert found.item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_focal_length_moves_as_far_as_its_prior_lets_it(rng):
+    true = cameras_on_a_path(4)
+    sightings = sight(rng, true, [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)], torch.zeros(4, 16))
+    taken = torch.tensor([1.05, 1.05, 1.0])
+    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+
+    def found(deviation: float) -> float:
+        *_, log_focal = adjust_bundle(
+            wrong, true[None], torch.ones(1, 4), GRID,
+            noise=BundleNoise(focal=deviation), focal_is_free=True, iterations=20,
+        )  # fmt: skip
+        return log_focal.item()
+
+    assert abs(found(1e-4)) < 0.002
+    assert found(1.0) == pytest.approx(torch.tensor(1.05).log().item(), abs=0.015)
+
+
+def test_a_step_is_damped_by_a_ten_thousandth_of_the_twists_diagonal_by_hand():
+    # Two unknowns that the data ties to nothing else: one camera's first number with hessian 4
+    # and gradient 2, the focal length with 3 and -6; all others have hessian 1 and no gradient.
+    hessian = torch.zeros(1, 2, 2, 7, 7)
+    hessian[0, range(2), range(2)] = torch.eye(7)
+    hessian[0, 1, 1, 0, 0] = 4
+    gradient = torch.zeros(1, 2, 7)
+    gradient[0, 1, 0] = 2
+    equations = bundle._Equations(
+        hessian, gradient, torch.tensor([3.0]), torch.tensor([-6.0]), torch.zeros(1, 2, 7)
+    )
+    step, focal = bundle._solve(equations, focal_is_free=True)
+    # Damping: 1e-4 of the mean of the twists' diagonal, (11 x 1 + 4) / 12 = 1.25.
+    assert step[0, 1, 0].item() == pytest.approx(-2 / (4 + 1.25e-4), rel=1e-6)
+    assert focal.item() == pytest.approx(2)
+    _, focal = bundle._solve(equations, focal_is_free=False)
+    assert focal.item() == 0
