@@ -87,4 +87,7 @@ def test_what_is_unknown_stays_unknown_and_nested_stages_are_reached():
         confidences=torch.ones(1, 1, 4, 4),
         cameras=cameras(1).batched(),
     )
+    both = Geometry.concatenate([geometry, geometry])
+    assert both.depths.shape == (2, 1, 4, 4)
+    assert both.cameras.intrinsics.shape == (2, 1, 3, 3)
     assert geometry.map(lambda value: value + 1).cameras.intrinsics[0, 0, 0].tolist() == [2, 1, 1]

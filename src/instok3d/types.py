@@ -44,8 +44,8 @@ class Flow:
         """
         if not parts:
             raise ValueError("nothing to concatenate: at least one part is needed, it may be empty")
-        names = vars(parts[0])
-        return cls(**{name: torch.cat([vars(p)[name] for p in parts], axis) for name in names})
+        fields = {name: [vars(part)[name] for part in parts] for name in vars(parts[0])}
+        return cls(**{name: _concatenated(values, axis) for name, values in fields.items()})
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,11 @@ class Scenes(Flow):
     def batched(self: AnyScenes) -> AnyScenes:
         """One scene as a batch of one."""
         return self.map(lambda tensor: tensor[None])
+
+
+def _concatenated(values: list[Any], axis: int) -> Any:
+    first = values[0]
+    return first.concatenate(values, axis) if isinstance(first, Flow) else torch.cat(values, axis)
 
 
 def _mapped(value: Any, operation: Callable[[Tensor], Tensor]) -> Any:

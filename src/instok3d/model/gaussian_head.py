@@ -24,9 +24,9 @@ class GaussianHeadConfig:
     gaussians_per_anchor: int = 16
     """N_g; the paper has 32. With surface seeding a square number, at least 4."""
     seeding: Literal["surface", "anchor"] = "surface"
-    """Where Gaussians start. anchor: around the anchor, as in the paper. surface: the j-th one at
-    the j-th surface cell of the anchor's patch, in its colour (a deviation: a small model then
-    need not learn to copy the photo)."""
+    """Initial positions. anchor: around the anchor, as in the paper. surface: Gaussian j at surface
+    cell j of the anchor's patch, with the cell's colour (a deviation: a small model then need not
+    learn to copy the photo)."""
     sh_degree: int = 1
     """0 to 3; the paper has 2."""
     hidden_factor: int = 2
@@ -89,7 +89,7 @@ class GaussianHead(nn.Module):
         nn.init.normal_(self.out.weight, std=0.002 if surface else 0.02)
         bias = torch.zeros(config.gaussians_per_anchor, sum(self.sizes))
         if not surface:
-            bias[:, :3].normal_(std=0.5)  # else all Gaussians of an anchor start as one
+            bias[:, :3].normal_(std=0.5)  # otherwise all Gaussians of an anchor start equal
         bias[:, 6] = 1.0
         bias[:, 10] = 1.0 if surface else -2.0
         with torch.no_grad():
@@ -108,7 +108,7 @@ class GaussianHead(nn.Module):
             return self._from_anchor(anchors.positions, raw.float())
 
     def no_gaussians(self, anchors: Anchors, context: Context) -> Gaussians:
-        """None for any of these anchors."""
+        """An empty set of Gaussians, in the form that `forward` gives."""
         none = context.positions.new_zeros(len(anchors.tokens), 0, 1, 1)
         return self._gaussians(
             none.expand(-1, -1, -1, 3),
@@ -167,14 +167,14 @@ class GaussianHead(nn.Module):
 
 
 def harmonic_damping(sh_degree: int) -> Float[Tensor, " coefficient"]:
-    """Factor of each coefficient: 1 for the constant, 1/2 of a quarter to the power of its band."""
+    """Factor of each coefficient: 1 for the constant, 0.5 * 4^-band for the others."""
     bands = [degree for degree in range(sh_degree + 1) for _ in range(2 * degree + 1)]
     return torch.tensor([0.5 * 0.25**band if band else 1.0 for band in bands])
 
 
 @dataclass(frozen=True)
 class _SurfaceSeeds:
-    """Where the Gaussians of each anchor start, and what the head is told about it."""
+    """Initial Gaussians of each anchor, and the head's inputs that describe them."""
 
     points: Float[Tensor, "batch anchor cell 3"]
     colors: Float[Tensor, "batch anchor cell 3"]
@@ -183,12 +183,15 @@ class _SurfaceSeeds:
 
 
 def _surface_seeds(anchors: Anchors, context: Context) -> _SurfaceSeeds:
-    """The cells of each anchor's patch, spread out where anchors are sparse.
+    """The cells of each anchor's patch, expanded where anchors are sparse.
 
-    With fewer anchors than patches (many views) an anchor has to cover for its neighbours: its
-    cells move apart and its Gaussians grow by the distance to the nearest other anchors over the
-    width of the patch, at most by the number of patches for each anchor, while their colours
-    fade to the patch's mean.
+    With fewer anchors than patches (many views), each anchor must also cover the surface of
+    patches that have none:
+
+    1. Sparsity is the distance to the nearest anchors over the side of the patch.
+    2. Cells move away from the anchor, and Gaussians grow, by the sparsity; at most by the number
+       of patches per anchor and by MAX_EXPANSION.
+    3. Colours move towards the patch's mean by the same factor: expanded detail would be wrong.
     """
     cells = gather_rows(context.cells, anchors.patches)
     points, colors = cells.split(3, dim=-1)
@@ -210,9 +213,9 @@ def _surface_seeds(anchors: Anchors, context: Context) -> _SurfaceSeeds:
 
 
 def _cell_spacing(points: Float[Tensor, "batch anchor cell 3"]) -> Float[Tensor, "batch anchor"]:
-    """What a cell measures across, seen face on: a low quantile of distances to neighbours.
+    """Side of a cell on a surface seen face on: a low quantile of the distances between neighbours.
 
-    Low, because edges of objects and slanted surfaces only ever make cells lie farther apart.
+    Low, because depth discontinuities and slanted surfaces can only increase these distances.
     """
     side = isqrt(points.shape[2])
     grid = points.unflatten(2, (side, side))
@@ -227,7 +230,7 @@ def _cell_spacing(points: Float[Tensor, "batch anchor cell 3"]) -> Float[Tensor,
 def _neighbour_distance(
     positions: Float[Tensor, "batch anchor 3"],
 ) -> Float[Tensor, "batch anchor"]:
-    """Mean distance of each anchor to the NEIGHBOURS nearest others; 0 for one that is alone."""
+    """Mean distance of each anchor to its NEIGHBOURS nearest anchors; 0 for a single anchor."""
     count = min(NEIGHBOURS, positions.shape[1] - 1)
     if count == 0:
         return torch.zeros_like(positions[..., 0])

@@ -39,7 +39,7 @@ class TokenizerConfig:
     """Layer-normalise queries and keys in each head; the paper does not say."""
     anchor_self_attention: bool = True
     """Anchors also attend to each other; the paper shows cross-attention alone. What it
-    does for the grouping was not measured by itself (docs/log.md)."""
+    gains in grouping was not measured alone (docs/log.md)."""
     group_self_attention: bool = True
     """Groups also attend to each other, without which two may claim one object; a deviation."""
     normalize_scale: bool = True
@@ -54,7 +54,7 @@ class TokenizerConfig:
     """Linear maps of anchors and groups before their dot product (Eq. 3); the paper has none."""
     gaussian_head: GaussianHeadConfig = field(default_factory=GaussianHeadConfig)
     thin_free_space: bool = True
-    """Take opacity from Gaussians that other views see through. The paper does not."""
+    """Free-space pruning: Gaussians that other views see through lose opacity; not in the paper."""
 
     def __post_init__(self):
         for name in ("num_anchors", "num_groups", "anchor_layers", "group_layers"):
@@ -115,13 +115,13 @@ class Tokenizer(nn.Module):
     def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
         """A scene of each set of photos, in scene units and in the first view's camera frame.
 
-        More views than window_views are tokenized window by window and joined; where a view sees
-        through a Gaussian, that loses opacity; all else is `tokenize`.
+        `tokenize`, and two steps that the paper does not have: more views than window_views are
+        tokenized in windows, whose groups are merged; then free-space pruning.
 
         Args:
             views: 1 to 16 photos of each scene.
-            geometry: What the backbone said of these views, where it has been run already (it is
-                frozen while the tokenizer learns, so its answers can be kept).
+            geometry: The backbone's output for these views where it was computed before (it is
+                frozen while the tokenizer learns, so its output can be cached).
 
         Raises:
             ValueError: The image size is no multiple of the patch size.
@@ -143,9 +143,9 @@ class Tokenizer(nn.Module):
         Gaussians stay in float32. Not differentiable: which patches become anchors.
 
         Args:
-            views: Of these, the images alone are looked at.
-            seen: What the backbone says of them.
-            draw: Decode Gaussians; without, there are none.
+            views: Only the images are used.
+            seen: The backbone's output for them.
+            draw: Decode Gaussians; otherwise the scene has none.
         """
         context = self.fuse(views, seen)  # X: one token per patch of every view
         seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
@@ -166,7 +166,7 @@ class Tokenizer(nn.Module):
         )
 
     def _tokenize_windows(self, views: Views, seen: Geometry, size: int) -> TokenGroups:
-        """Each window of so many views by itself, and all of them as one scene."""
+        """Each window of views alone, then the groups of all windows merged."""
         scenes = []
         for scene in range(len(views.images)):
             windows = view_windows(seen, scene, size)
@@ -174,7 +174,7 @@ class Tokenizer(nn.Module):
             parts = []
             for number, window in enumerate(windows):
                 part = self.tokenize(*cut_window(views, seen, scene, window), draw=number in drawn)
-                parts.append(replace(part, geometry=seen))  # its own copy goes at once
+                parts.append(replace(part, geometry=seen))  # frees its copy of the geometry
             scenes.append(join_windows(parts, windows, seen, scene))
         return collate_scenes(scenes, seen)
 

@@ -202,10 +202,10 @@ def test_a_batch_is_its_scenes_with_empty_groups_behind(rng):
         )
 
 
-def test_scenes_with_unlike_numbers_of_anchors_are_no_batch(rng):
+def test_scenes_with_different_numbers_of_anchors_are_no_batch(rng):
     model = small_tokenizer()
     scenes = [model(photos(rng, views=views)) for views in (5, 6)]
-    with pytest.raises(ValueError, match="unlike numbers of anchors, 80 to 96"):
+    with pytest.raises(ValueError, match="different numbers of anchors, 80 to 96"):
         collate_scenes(scenes, scenes[0].geometry)
 
 

@@ -1,8 +1,8 @@
-"""Gaussians that float where another view looks through.
+"""Free-space pruning: Gaussians that other views see through lose opacity. Not in the paper.
 
-Depth bleeds at the rims of things: points hang between them and what lies behind. One view cannot
-tell, and in its own picture they hide nothing; from aside they cover what is there. Another view
-that sees a surface farther away on the same ray says that nothing is there. Not in the paper.
+Predicted depth is smeared at depth discontinuities: points float between an object and what lies
+behind it. In the view that they come from they hide nothing; from another viewpoint they cover
+what is there. A view that observes a surface farther away along the same ray contradicts them.
 """
 
 from dataclasses import replace
@@ -16,20 +16,21 @@ from instok3d.geometry.cameras import transform_points
 from instok3d.types import Gaussians, Geometry, TokenGroups
 
 IN_FRONT = 0.04
-"""A surface has to be farther than a Gaussian by this share of its depth to say so."""
+"""A Gaussian is contradicted if it is nearer than the surface by this share of its depth."""
 RIM_PX = 1
-"""Every surface within so many pixels has to be; at rims a ray may pass on either side."""
+"""All depths within so many pixels must lie behind the Gaussian: near a depth discontinuity the
+ray may hit either side."""
 KEPT = 0.3
-"""What each view that looks through leaves of the opacity."""
+"""Factor on the opacity for each view that sees through."""
 NEAREST = 1e-6
-"""Depth, scene units, at which a Gaussian counts as behind a camera."""
+"""Depth in scene units below which a Gaussian counts as behind the camera."""
 
 
 def thin_out_free_space(groups: TokenGroups) -> TokenGroups:
-    """The scene with less opacity for each Gaussian, the more views see through it.
+    """The scene with every opacity multiplied by KEPT for each view that sees through it.
 
-    The view that a Gaussian comes from is not asked. In float32, also under autocast.
-    Differentiable in the opacities, not in which views see through.
+    The view that a Gaussian comes from does not count. Runs in float32, also under autocast.
+    Differentiable in the opacities, not in the number of views.
     """
     with torch.autocast(groups.geometry.depths.device.type, enabled=False):
         per_view = groups.geometry.features.shape[2]
@@ -43,7 +44,7 @@ def thin_out_free_space(groups: TokenGroups) -> TokenGroups:
 def count_seen_through(
     gaussians: Gaussians, source: Int[Tensor, "batch gaussian"], geometry: Geometry
 ) -> Float[Tensor, "batch gaussian"]:
-    """How many views other than its own see a surface behind the place of each Gaussian.
+    """The number of views, other than its own, that observe a surface behind each Gaussian.
 
     Args:
         gaussians: In the frame and units of the geometry.
@@ -51,7 +52,7 @@ def count_seen_through(
         geometry: Depth and cameras of all views.
     """
     _, count, height, width = geometry.depths.shape
-    # The nearest surface about each pixel.
+    # Minimum filter: the nearest surface around each pixel.
     nearest = -functional.max_pool2d(-geometry.depths.float(), 2 * RIM_PX + 1, 1, RIM_PX)
     through = torch.zeros_like(gaussians.opacities, dtype=torch.float32)
     size = torch.tensor([width, height], device=source.device)
@@ -62,7 +63,7 @@ def count_seen_through(
         depth = seen[..., 2]
         front = depth > NEAREST
         places = seen @ geometry.cameras.intrinsics[:, view].float().mT
-        # Behind the camera or far outside: any place, which is not asked for.
+        # Behind the camera or far outside: any pixel will do, `inside` masks it.
         places = places[..., :2] / depth.clamp_min(NEAREST)[..., None]
         inside = front & ((places >= 0) & (places < size)).all(-1)
         pixels = torch.where(inside[..., None], places, 0).long()

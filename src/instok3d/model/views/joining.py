@@ -1,4 +1,4 @@
-"""The groups of overlapping windows of views as those of one scene."""
+"""Merging the groups of overlapping windows into the groups of one scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,58 +13,59 @@ from instok3d.model.views.windows import middle_windows
 from instok3d.types import Anchors, Gaussians, Geometry, TokenGroups
 
 SAME_GROUP_IOU = 0.15
-"""Groups of two windows become one from this overlap on the anchors that both windows have."""
+"""Groups of two windows are merged from this IoU on, measured on the patches they share."""
 
 
 @dataclass(frozen=True)
 class WindowGroups:
-    """The groups of a window that hold anything, on the patches that it has anchors on."""
+    """The groups of one window that own any anchor, as soft masks over its patches."""
 
     held: Float[Tensor, "row patch"]
-    """How much of each patch's anchor every group has."""
+    """Assignment probability of each patch's anchor to each group."""
     patches: Int[Tensor, " patch"]
-    """Which patches of all views these are, each once."""
+    """Index of each patch among the patches of all views; no duplicates."""
     tokens: Float[Tensor, "row channel"]
 
 
 def join_windows(
     parts: Sequence[TokenGroups], windows: Sequence[Sequence[int]], geometry: Geometry, scene: int
 ) -> TokenGroups:
-    """One scene out of its windows, a batch of one in the first camera's frame.
+    """One scene from the tokens of its windows: a batch of one in the first camera's frame.
 
-    Every view's anchors and Gaussians come from the largest window in whose middle it lies most.
-    Groups of different windows that overlap on shared anchors are one group, whose token is the
-    mean of theirs by the anchors they hold; never two groups of one window. An anchor's
-    assignment is the mean over the windows it is in. In float32, also under autocast.
-    Differentiable but for the choice of what is joined.
+    Runs in float32, also under autocast. Differentiable, except for the choice of the groups that
+    are merged.
 
     Args:
         parts: The tokens of each window, batches of one.
-        windows: The views of each window.
+        windows: The view indices of each window.
         geometry: Of all views of the whole batch.
-        scene: Which of the batch.
+        scene: Index in the batch.
     """
     num_patches = geometry.features.shape[1] * geometry.features.shape[2]
     patches = [
         _patches_of(part, window, geometry) for part, window in zip(parts, windows, strict=True)
     ]
     with torch.autocast(geometry.depths.device.type, enabled=False):
+        # 1. Match groups across windows by their overlap on shared patches.
         groups = [_groups_of(part, where) for part, where in zip(parts, patches, strict=True)]
         owners = join_groups(groups, num_patches)
         count = max((int(owner.max()) + 1 for owner in owners if len(owner)), default=0)
         numbers = torch.arange(count, device=geometry.depths.device)
+        # 2. Sum assignments over windows; tokens are averaged with the assigned mass as weight.
         shares = groups[0].held.new_zeros(num_patches, count)
         covered = groups[0].held.new_zeros(num_patches, 1)
         mass = groups[0].held.new_zeros(count, 1)
         tokens = groups[0].tokens.new_zeros(count, groups[0].tokens.shape[1])
         for group, owner in zip(groups, owners, strict=True):
-            members = (owner[:, None] == numbers).float()  # row joined
+            members = (owner[:, None] == numbers).float()  # [row, merged group]
             shares.index_add_(0, group.patches, group.held.mT @ members)
             covered[group.patches] += 1
             weights = members.mT * group.held.sum(dim=1)
             mass += weights.sum(dim=1, keepdim=True)
             tokens += weights @ group.tokens
+        # 3. Each view takes its anchors and Gaussians from one window.
         anchors, gaussians = _from_middles(parts, windows, patches, geometry, scene)
+        # 4. An anchor's assignment is the mean over the windows that contain its patch.
         own = anchors.patches[0]
         shares = shares[own] / covered[own]
         void = (1 - shares.sum(dim=1, keepdim=True)).clamp_min(0)
@@ -79,10 +80,11 @@ def join_windows(
 
 @torch.no_grad()
 def join_groups(windows: Sequence[WindowGroups], num_patches: int) -> list[Int[Tensor, " row"]]:
-    """For each window the numbers of the joined groups that its groups go into.
+    """For each window, the index of the merged group that each of its groups goes into.
 
-    Pairs are joined in the order of their IoU on the patches that both windows have anchors on,
-    down to SAME_GROUP_IOU, unless that would bring two groups of one window together.
+    Greedy agglomeration: pairs of groups are visited by falling IoU, down to SAME_GROUP_IOU, and
+    merged unless two groups of the same window would end up in one (a window tells its own groups
+    apart).
 
     Args:
         windows: The groups of each window.
@@ -105,7 +107,10 @@ def join_groups(windows: Sequence[WindowGroups], num_patches: int) -> list[Int[T
 
 
 def _pairs_best_first(windows: Sequence[WindowGroups], num_patches: int) -> list[list[int]]:
-    """Groups of two windows that overlap enough, counted through all windows."""
+    """Pairs of groups of different windows with enough IoU, best first.
+
+    Groups are numbered through all windows.
+    """
     column = torch.full((num_patches,), -1, device=windows[0].patches.device)
     pairs, overlaps, before = [column.new_zeros(0, 2)], [windows[0].held.new_zeros(0)], 0
     for number, window in enumerate(windows):
@@ -132,15 +137,15 @@ def _pairs_best_first(windows: Sequence[WindowGroups], num_patches: int) -> list
 
 
 def collate_scenes(scenes: Sequence[TokenGroups], geometry: Geometry) -> TokenGroups:
-    """Scenes of one batch, filled up with empty groups to as many as the largest has.
+    """Scenes as one batch; empty groups pad them to the largest number of groups.
 
     Raises:
-        ValueError: They have unlike numbers of anchors.
+        ValueError: They differ in the number of anchors.
     """
     counts = [scene.assignment.shape[1] for scene in scenes]
     if min(counts) != max(counts):
         raise ValueError(
-            f"scenes of one batch came out with unlike numbers of anchors, {min(counts)} to "
+            f"the scenes of a batch have different numbers of anchors, {min(counts)} to "
             f"{max(counts)}; give one scene at a time, or raise num_anchors to the patches of a "
             "window"
         )
@@ -162,7 +167,7 @@ def collate_scenes(scenes: Sequence[TokenGroups], geometry: Geometry) -> TokenGr
 def _patches_of(
     part: TokenGroups, window: Sequence[int], geometry: Geometry
 ) -> Int[Tensor, " anchor"]:
-    """Which patch of all views each anchor of a window was placed on."""
+    """The patch of each anchor of a window, as an index among the patches of all views."""
     per_view = geometry.features.shape[2]
     patches = part.anchors.patches[0]
     views = torch.as_tensor(window, device=patches.device)
@@ -170,11 +175,14 @@ def _patches_of(
 
 
 def _groups_of(part: TokenGroups, where: Int[Tensor, " anchor"]) -> WindowGroups:
-    """Groups that hold an anchor's worth or win an anchor; what others hold goes to the void."""
+    """Groups with an assigned mass of at least one anchor, or that win an anchor.
+
+    The mass of all others goes to the void.
+    """
     pi = part.assignment[0, :, :-1].float()
     wins = part.assignment[0].argmax(dim=1).bincount(minlength=pi.shape[1] + 1)[:-1]
     kept = ((pi.sum(dim=0) >= 1) | (wins > 0)).nonzero()[:, 0]
-    # Copies of an anchor (pad_duplicates) say the same of their patch: the last one stays.
+    # Copies of an anchor (pad_duplicates) have equal assignments: keep the last one.
     patches, copy_of = where.unique(return_inverse=True)
     last = torch.zeros_like(patches).scatter_reduce(
         0, copy_of, torch.arange(len(where), device=where.device), "amax"
@@ -189,7 +197,7 @@ def _from_middles(
     geometry: Geometry,
     scene: int,
 ) -> tuple[Anchors, Gaussians]:
-    """Anchors and Gaussians of each view from the window in whose middle it lies most."""
+    """Anchors and Gaussians of each view, from the longest window centred nearest to it."""
     per_view = geometry.features.shape[2]
     chosen = middle_windows(windows)
     anchors, gaussians, count = [], [], 0
@@ -211,5 +219,5 @@ def _from_middles(
 
 
 def _padded(values: Tensor, count: int) -> Tensor:
-    """With zeros behind the last column."""
+    """Zeros are appended up to `count` columns."""
     return torch.nn.functional.pad(values, (0, count - values.shape[-1]))

@@ -1,4 +1,4 @@
-"""Which views see the same things, and an order in which neighbours do."""
+"""Overlaps of views, and an order of the views in which neighbours overlap."""
 
 import torch
 from jaxtyping import Float
@@ -8,21 +8,21 @@ from instok3d.geometry.cameras import project, transform_points
 from instok3d.types import Geometry
 
 CELL = 8
-"""One point of every so many pixels is looked at, in both directions."""
+"""Points are sampled on a grid with this stride, pixels."""
 DEPTH_TOLERANCE = 0.25
-"""A point is seen in another view where its depth there is off by no more than this share."""
+"""A point is visible where its depth differs from the depth map by no more than this share."""
 
 
 @torch.no_grad()
 def view_overlaps(geometry: Geometry, scene: int) -> Float[Tensor, "view view"]:
-    """The share of each view's points that each other view sees too, mean of both directions.
+    """Overlap of each pair of views: the share of visible points, mean of both directions.
 
-    A point counts where it falls into the other picture, in front of the camera and about as deep
-    as what is seen there; points that are not finite count as not seen. 0 on the diagonal.
+    A point is visible in another view if it projects into its image, in front of the camera, and
+    agrees with its depth map. Points that are not finite count as not visible. The diagonal is 0.
 
     Args:
         geometry: Pointmaps, depths and cameras.
-        scene: Which of its batch.
+        scene: Index in the batch.
     """
     points = geometry.pointmaps[scene, :, CELL // 2 :: CELL, CELL // 2 :: CELL].flatten(1, 2)
     cameras, depths = geometry.cameras, geometry.depths[scene]
@@ -41,10 +41,11 @@ def view_overlaps(geometry: Geometry, scene: int) -> Float[Tensor, "view view"]:
 
 
 def order_along_path(overlaps: Float[Tensor, "view view"]) -> list[int]:
-    """All views, neighbours in the list seeing much of the same.
+    """All views in an order in which neighbours overlap.
 
-    Begun with the pair of most overlap; then, again and again, the view and the place in the list
-    that add most to the overlap of neighbours. The end with the smaller number comes first.
+    Greedy insertion: starts with the pair of largest overlap, then repeatedly inserts the view at
+    the position that adds most to the summed overlap of neighbours. The end with the smaller view
+    index comes first.
     """
     share = overlaps.tolist()
     pairs = [(first, second) for second in range(len(share)) for first in range(second)]
@@ -59,7 +60,7 @@ def order_along_path(overlaps: Float[Tensor, "view view"]) -> list[int]:
 
 
 def _gain(share: list[list[float]], path: list[int], place: int, view: int) -> float:
-    """What the overlap of neighbours grows by when the view comes before that place."""
+    """Change of the summed overlap of neighbours if the view is inserted before that position."""
     before, after = path[place - 1 : place], path[place : place + 1]
     gain = sum(share[view][neighbour] for neighbour in before + after)
     return gain - (share[before[0]][after[0]] if before and after else 0.0)

@@ -1,7 +1,8 @@
-"""Many views in overlapping windows, whose groups `model.views.joining` makes those of one scene.
+"""Many views as overlapping windows; `model.views.joining` merges the groups of the windows.
 
-Not in the paper, whose models see eight views at once. A small one groups a part of a room better
-than the whole (docs/log.md), and time grows with the number of views, not with its square.
+Not in the paper, whose models take eight views at once. A small model groups part of a room better
+than the whole room (docs/log.md), and its time grows linearly with the number of views instead of
+quadratically.
 """
 
 from collections.abc import Sequence
@@ -15,17 +16,20 @@ from instok3d.types import Cameras, Geometry, Views
 
 
 def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
-    """Numbers of the views in each window: neighbours of a path through all views.
+    """The view indices of each window.
 
-    First windows of `size`, then pairs, each begun one view after the one before: groups can be
-    followed from one to the next, and an anchor's assignment is the mean over several windows. All
-    come again with their views in the opposite order, seen from their last camera. What is found
-    differs a little each time, and the mean is better (docs/log.md). Views that fit in one window
-    are that window alone.
+    1. Views are ordered along a path on which neighbours overlap most.
+    2. A window of `size` slides along the path with stride 1, so that consecutive windows share
+       views and their groups can be matched; then a window of 2 does the same.
+    3. Every window is repeated with its views reversed: its world is then the last camera.
+
+    An anchor's assignment is averaged over all windows that contain it; each makes other errors,
+    so the mean is better than any one (docs/log.md). If all views fit into one window, it is the
+    only one.
 
     Args:
-        geometry: Of the whole batch; says which views see the same.
-        scene: Which of the batch.
+        geometry: Of the whole batch; the overlaps are computed from it.
+        scene: Index in the batch.
         size: Views of a window, at least 2.
     """
     with torch.autocast(geometry.depths.device.type, enabled=False):
@@ -41,14 +45,17 @@ def view_windows(geometry: Geometry, scene: int, size: int) -> list[list[int]]:
 
 
 def window_lengths(views: int, size: int) -> list[int]:
-    """How many views each window of `view_windows` has."""
+    """The number of views of each window that `view_windows` returns, in its order."""
     if views <= size:
         return [views]
     return [length for length in _lengths(size) for _ in range(views - length + 1)] * 2
 
 
 def middle_windows(windows: Sequence[Sequence[int]]) -> dict[int, int]:
-    """For each view the largest window in whose middle it lies most, the first of equal ones."""
+    """For each view the index of the longest window whose centre is nearest to it.
+
+    Among equal ones, the first.
+    """
     distance: dict[int, tuple[int, float, int]] = {}
     for number, window in enumerate(windows):
         for place, view in enumerate(window):
@@ -60,7 +67,7 @@ def middle_windows(windows: Sequence[Sequence[int]]) -> dict[int, int]:
 def cut_window(
     views: Views, geometry: Geometry, scene: int, window: Sequence[int]
 ) -> tuple[Views, Geometry]:
-    """Photos and geometry of some views as a batch of one, their first camera as the world."""
+    """Photos and geometry of the window as a batch of one; the world is its first camera."""
     chosen = torch.as_tensor(window, device=views.images.device)
 
     def cut(values: Tensor) -> Tensor:
@@ -77,24 +84,6 @@ def cut_window(
         pointmaps=points,
         confidences=cut(geometry.confidences),
         cameras=cameras,
-    )
-
-
-def collate_geometry(parts: Sequence[Geometry]) -> Geometry:
-    """One batch of all parts, which have as many views of one size."""
-
-    def join(name: str) -> Tensor:
-        return torch.cat([getattr(part, name) for part in parts])
-
-    return Geometry(
-        features=join("features"),
-        depths=join("depths"),
-        pointmaps=join("pointmaps"),
-        confidences=join("confidences"),
-        cameras=Cameras(
-            torch.cat([part.cameras.cam_from_world for part in parts]),
-            torch.cat([part.cameras.intrinsics for part in parts]),
-        ),
     )
 
 

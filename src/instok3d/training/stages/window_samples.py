@@ -8,7 +8,7 @@ import torch
 from instok3d.data.sample import Sample, collate
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.geometry.cameras import invert_rigid
-from instok3d.model.views.windows import collate_geometry, cut_window
+from instok3d.model.views.windows import cut_window
 from instok3d.types import Geometry, Views
 
 
@@ -59,7 +59,7 @@ def window_samples(
         for scene, window, targets in drawn
     ]
     seen = [cut_window(sample.context, geometry, scene, window)[1] for scene, window, _ in drawn]
-    return collate(parts), collate_geometry(seen)
+    return collate(parts), Geometry.concatenate(seen)
 
 
 def _between(frames: FrameChoice, window: range) -> list[int]:
