@@ -6,7 +6,8 @@ import torch
 
 from instok3d.photos.pixel_map import fit_pixels
 from instok3d.scene.from_tokens import scene_from_tokens
-from instok3d.scene.scene import Provenance, Scene, SceneView
+from instok3d.scene.record import Provenance, SceneView
+from instok3d.scene.scene import Scene
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups
 
 HEIGHT, WIDTH = 24, 32

@@ -180,7 +180,7 @@ def test_errors_while_saving_have_their_codes_and_leave_nothing(
     def fail(*arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("instok3d.scene.files.write_previews", fail)
+    monkeypatch.setattr("instok3d.scene.previews.write_previews", fail)
     photos = made_photos(tmp_path / "photos")
     output = tmp_path / "a.itk"
     assert main(["reconstruct", str(photos), "-o", str(output), "--model", model]) == code

@@ -10,6 +10,7 @@ from PIL import Image
 
 import instok3d
 from instok3d.scene import files
+from instok3d.scene.previews import save_with_previews
 from instok3d.scene.scene import Scene
 from made_scene import made_empty_scene, made_scene, made_tokens
 
@@ -41,13 +42,12 @@ def test_what_was_saved_is_loaded(tmp_path: Path, make: Callable[[], Scene]):
 def test_a_scene_folder_holds_what_it_promises(tmp_path: Path, scene: Scene):
     scene.save(tmp_path / "room.itk")
     assert sorted(contents(tmp_path / "room.itk")) == [
-        "cameras.json", "gaussians.safetensors", "objects.json", "previews/contact_sheet.png",
-        "previews/inputs/000.png", "previews/inputs/001.png", "previews/objects/001.png",
-        "previews/objects/003.png", "scene.json", "tokens.safetensors",
+        "cameras.json", "gaussians.safetensors", "inputs/000.png", "inputs/001.png",
+        "objects.json", "scene.json", "tokens.safetensors",
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["room.itk"]
     header = json.loads((tmp_path / "room.itk/scene.json").read_text())
-    assert header["version"] == 1
+    assert header["version"] == 2
     assert header["inputs"] == {view.file: view.sha256 for view in scene.views}
     camera = json.loads((tmp_path / "room.itk/cameras.json").read_text())[1]
     # The second camera stands 0.1 to the right of the first, which is the world.
@@ -65,8 +65,13 @@ def test_the_same_scene_gives_the_same_bytes_also_after_loading(tmp_path: Path, 
     assert contents(tmp_path / "c.itk") == first
 
 
-def test_the_contact_sheet_shows_the_objects(tmp_path: Path, scene: Scene):
-    scene.save(tmp_path / "room.itk")
+def test_previews_stand_beside_the_scene_and_show_its_objects(tmp_path: Path, scene: Scene):
+    stages: list[str] = []
+    save_with_previews(scene, tmp_path / "room.itk", progress=stages.append)
+    assert stages == ["previews", "save"]
+    pictures = sorted(contents(tmp_path / "room.itk" / "previews"))
+    assert pictures == ["contact_sheet.png", "objects/001.png", "objects/003.png"]
+    assert_same(instok3d.load(tmp_path / "room.itk"), scene)
     with Image.open(tmp_path / "room.itk/previews/objects/001.png") as tile:
         assert tile.size == (scene.width, scene.height)
         assert tile.getpixel((scene.width - 1, 0)) == (255, 255, 255)
@@ -106,7 +111,7 @@ def test_a_missing_parent_folder_is_named(tmp_path: Path, scene: Scene):
 
 
 @pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt])
-@pytest.mark.parametrize("step", ["write_safetensors", "write_previews", "_write_json"])
+@pytest.mark.parametrize("step", ["write_safetensors", "_write_json"])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_an_interrupted_save_leaves_what_was_there(
     tmp_path: Path,
@@ -126,7 +131,7 @@ def test_an_interrupted_save_leaves_what_was_there(
 
     def fail_the_second_time(*arguments: object) -> bytes:
         calls.append(arguments)
-        if len(calls) == 2 or step == "write_previews":
+        if len(calls) == 2:
             raise error
         return b""
 
@@ -179,7 +184,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     ),
     r"objects\.json is damaged": lambda f: (f / "objects.json").write_text("[{"),
     r"objects\.json is damaged.*UTF|codec": lambda f: (f / "objects.json").write_bytes(b"\xff\xfe"),
-    r"scene\.json: .*version 1, not 2": damage_json("scene.json", lambda v: v.update(version=2)),
+    r"scene\.json: .*1 to 2, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
     r"'units' in its JSON": damage_json("scene.json", lambda v: v.pop("units")),
     r"'miles' is none of": damage_json("scene.json", lambda v: v.update(units="miles")),
     r"bad picture size": damage_json("scene.json", lambda v: v.update(height=10**9)),
@@ -194,7 +199,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     r"wanted 3 finite": damage_json("objects.json", lambda v: v[0].update(centroid=[1, 2])),
     r"names a view": damage_json("objects.json", lambda v: v[0].update(visible_in=[7])),
     r"is damaged: .* in its JSON": damage_json("objects.json", lambda v: v.append(3)),
-    r"001\.png is damaged": lambda f: (f / "previews/inputs/001.png").write_bytes(b"\x89PNG"),
+    r"001\.png is damaged": lambda f: (f / "inputs/001.png").write_bytes(b"\x89PNG"),
 }
 
 
@@ -209,7 +214,7 @@ def test_a_damaged_scene_is_refused_with_the_reason(tmp_path: Path, scene: Scene
 def test_missing_files_are_named(tmp_path: Path, scene: Scene):
     with pytest.raises(FileNotFoundError, match="no folder of this name"):
         instok3d.load(tmp_path / "room.itk")
-    for name in ("tokens.safetensors", "objects.json", "previews/inputs/000.png", "scene.json"):
+    for name in ("tokens.safetensors", "objects.json", "inputs/000.png", "scene.json"):
         scene.save(tmp_path / "room.itk")
         (tmp_path / "room.itk" / name).unlink()
         with pytest.raises(FileNotFoundError, match=name):

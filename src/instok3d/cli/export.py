@@ -31,11 +31,11 @@ def run(
     from dataclasses import replace
 
     from instok3d.cli.targets import check_file, object_name
-    from instok3d.scene.files import load_scene
     from instok3d.scene.ply import scene_comments, write_ply
+    from instok3d.scene.scene import Scene
 
     check_file(output, overwrite=overwrite, endings=(".ply",))
-    loaded = load_scene(scene)
+    loaded = Scene.load(scene)
     ids = loaded.object_ids()
     if only is not None:
         item = loaded.object(object_name(only))

@@ -16,9 +16,9 @@ def run(scene: tyro.conf.Positional[Path], /, json: bool = False) -> None:
         scene: A scene folder.
         json: Print one JSON object.
     """
-    from instok3d.scene.files import load_scene
+    from instok3d.scene.scene import Scene
 
-    loaded = load_scene(scene)
+    loaded = Scene.load(scene)
     if json:
         print_json({"scene": str(scene), **summary(loaded)})
     else:

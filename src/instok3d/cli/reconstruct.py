@@ -68,7 +68,8 @@ def make_scene(
     clock = StageClock()
     clock.begin("start")
     from instok3d.cli.info import describe, print_json, summary
-    from instok3d.scene.files import check_target, save_scene
+    from instok3d.scene.files import check_target
+    from instok3d.scene.previews import save_with_previews
     from instok3d.scene.reconstruct import reconstruct
 
     check_target(output, overwrite=overwrite)
@@ -77,7 +78,7 @@ def make_scene(
             photos, cameras=cameras, model=model, seed=seed, max_views=max_views, device=device,
             progress=clock.begin,
         )  # fmt: skip
-        save_scene(scene, output, overwrite=overwrite, progress=clock.begin)
+        save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
     clock.end()
     if timings:
         print(clock.report(), file=sys.stderr)

@@ -47,14 +47,14 @@ def run(
         overwrite: Replace files that are already there.
     """
     from instok3d.cli.targets import check_file, object_name
-    from instok3d.scene.files import load_scene
     from instok3d.scene.paths import camera_path
+    from instok3d.scene.scene import Scene
 
     if output.suffix:
         check_file(output, overwrite=overwrite, endings=PICTURES + FILMS)
     elif output.exists() and not (output.is_dir() and (overwrite or not any(output.iterdir()))):
         raise FileExistsError(f"{output} is already there; pass --overwrite to write into it")
-    loaded = load_scene(scene)
+    loaded = Scene.load(scene)
     way = camera_path(loaded, path, frames, height, width)
     drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
     shots = take_shots(loaded, way, drawn, ids=ids)

@@ -3,7 +3,8 @@
 scene.json: version, units, frame, model, seed, hashes of the photos, warnings. cameras.json: a
 list, one entry a view. objects.json: a list, one entry an object. gaussians.safetensors and
 tokens.safetensors: the fields of `Gaussians` and `SceneTokens`, float32 (anchor_index int64).
-previews/: contact_sheet.png, objects/NNN.png, and inputs/NNN.png, the photos as the model saw them.
+inputs/NNN.png: the photos as the model saw them. docs/formats.md has every field; what else lies
+in the folder, such as previews/, is not read.
 """
 
 import dataclasses
@@ -27,12 +28,10 @@ from instok3d.geometry.cameras import invert_rigid
 from instok3d.model.files import file_sha256
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
-from instok3d.scene.previews import write_previews
-from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView
+from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
+from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
 from instok3d.types import Cameras, Gaussians
 
-VERSION = 1
-"""Raised when a reader of the old version would misread the new one."""
 AXES = "OpenCV: x right, y down, z forward; quaternions wxyz; pixel centres at +0.5"
 TENSOR_FILES = {"gaussians.safetensors": Gaussians, "tokens.safetensors": SceneTokens}
 MAX_VIEWS = 10_000
@@ -40,12 +39,12 @@ MAX_PIXELS = 2**26
 """Sizes beyond these are taken for damage before anything is allocated."""
 
 
-def save_scene(
-    scene: Scene,
+def save_record(
+    scene: SceneRecord,
     path: Path,
     *,
     overwrite: bool = False,
-    progress: Callable[[str], None] | None = None,
+    more: Callable[[Path], None] | None = None,
 ) -> None:
     """Write the scene folder, complete or not at all; the same scene gives the same bytes.
 
@@ -53,7 +52,7 @@ def save_scene(
         scene: What to write.
         path: The folder, such as room.itk.
         overwrite: Replace a scene that is already there; it stays until the new one is complete.
-        progress: Called with the name of each stage as it begins.
+        more: Called with the folder before it gets its name, to write more files into it.
 
     Raises:
         FileExistsError: Something is at `path`, and `overwrite` is off or it is no scene.
@@ -61,14 +60,12 @@ def save_scene(
         PermissionError: That folder may not be written to.
     """
     check_target(path, overwrite=overwrite)
-    begin = progress or (lambda stage: None)
     with replacing_folder(path) as part:
-        begin("previews")
-        (part / "previews" / "inputs").mkdir(parents=True)
+        if more is not None:
+            more(part)
+        (part / "inputs").mkdir()
         for index, photo in enumerate(scene.photos):
-            Image.fromarray(photo.cpu().numpy()).save(_photo_path(part, index))
-        write_previews(scene, part / "previews")
-        begin("save")
+            Image.fromarray(photo.cpu().numpy()).save(_photo_path(part / "inputs", index))
         for name in TENSOR_FILES:
             stage = scene.gaussians if name.startswith("gaussians") else scene.tokens
             write_safetensors(part / name, vars(stage))
@@ -100,25 +97,19 @@ def check_target(path: Path, *, overwrite: bool) -> None:
         )
 
 
-def load_scene(path: Path) -> Scene:
-    """The scene of a folder that `save_scene` wrote, on the CPU.
+def load_record(path: Path) -> SceneRecord:
+    """What the folder of a scene holds, on the CPU; older versions are upgraded in memory.
 
     Raises:
         FileNotFoundError: No folder there, or a file of it is missing.
-        ValueError: It is of another version, damaged, or inconsistent; the sentence names the
+        ValueError: It is of a newer version, damaged, or inconsistent; the sentence names the
             file and what is wrong with it.
     """
     if not path.is_dir():
         raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
     if not (path / "scene.json").is_file():
         raise FileNotFoundError(f"{path} is not a scene folder: it has no scene.json")
-    header = _read_json(path / "scene.json")
-    version = header.get("version") if isinstance(header, dict) else None
-    if version != VERSION:
-        raise ValueError(
-            f"{path / 'scene.json'}: this program reads scenes of version {VERSION}, not "
-            f"{version!r}; reconstruct the scene again or use a program that fits"
-        )
+    header = upgraded(_read_json(path / "scene.json"), path / "scene.json")
     try:
         return _assemble(path, header)
     except (KeyError, TypeError, IndexError, OverflowError) as error:
@@ -127,7 +118,7 @@ def load_scene(path: Path) -> Scene:
         ) from error
 
 
-def _assemble(path: Path, header: dict[str, Any]) -> Scene:
+def _assemble(path: Path, header: dict[str, Any]) -> SceneRecord:
     height, width = int(header["height"]), int(header["width"])
     if min(height, width) < 1 or height * width > MAX_PIXELS:
         raise ValueError(f"{path / 'scene.json'}: bad picture size {height} x {width}")
@@ -140,7 +131,8 @@ def _assemble(path: Path, header: dict[str, Any]) -> Scene:
     if len(index) and (int(index.min()) < 0 or int(index.max()) >= num_anchors):
         raise ValueError(f"{path / 'gaussians.safetensors'}: anchor_index beyond {num_anchors}")
     made = header["provenance"]
-    return Scene(
+    near_far = header["near_far"]
+    return SceneRecord(
         gaussians=gaussians,
         tokens=tokens,
         cameras=cameras,
@@ -148,9 +140,14 @@ def _assemble(path: Path, header: dict[str, Any]) -> Scene:
         width=width,
         objects=objects,
         views=views,
-        photos=_read_photos(path, len(views), height, width),
+        photos=_read_photos(path / header["inputs_folder"], len(views), height, width),
         units=_one_of(path, header["units"], ("metres", "arbitrary")),
         frame=_one_of(path, header["frame"], ("first camera", "given cameras")),
+        near_far=(
+            near_and_far(gaussians, cameras)
+            if near_far == FROM_GAUSSIANS
+            else _near_far(path / "scene.json", near_far)
+        ),
         warnings=tuple(str(line) for line in header["warnings"]),
         provenance=Provenance(
             generator=str(made["generator"]),
@@ -161,13 +158,15 @@ def _assemble(path: Path, header: dict[str, Any]) -> Scene:
     )
 
 
-def _scene_json(scene: Scene, digests: dict[str, str]) -> dict[str, Any]:
+def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
     return {
         "format": "instok3d scene",
         "version": VERSION,
         "units": scene.units,
         "frame": scene.frame,
         "axes": AXES,
+        "near_far": list(scene.near_far),
+        "inputs_folder": "inputs",
         "height": scene.height,
         "width": scene.width,
         "num_views": len(scene.views),
@@ -181,7 +180,7 @@ def _scene_json(scene: Scene, digests: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def _cameras_json(scene: Scene) -> list[dict[str, Any]]:
+def _cameras_json(scene: SceneRecord) -> list[dict[str, Any]]:
     cam_from_world = scene.cameras.cam_from_world.detach().cpu()
     world_from_cam = invert_rigid(cam_from_world)
     return [
@@ -316,12 +315,19 @@ def _read_objects(
     return objects
 
 
+def _near_far(file: Path, value: Any) -> tuple[float, float]:
+    numbers = isinstance(value, list) and all(type(number) in (int, float) for number in value)
+    if not numbers or len(value) != 2 or not 0 < value[0] < value[1] < math.inf:
+        raise ValueError(f"{file}: near_far is {value}; wanted two numbers, 0 < near < far")
+    return float(value[0]), float(value[1])
+
+
 def _read_photos(
-    path: Path, count: int, height: int, width: int
+    folder: Path, count: int, height: int, width: int
 ) -> UInt8[Tensor, "view {height} {width} 3"]:
     photos = torch.empty(count, height, width, 3, dtype=torch.uint8)
     for index in range(count):
-        file = _photo_path(path, index)
+        file = _photo_path(folder, index)
         if not file.is_file():
             raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
         try:
@@ -335,7 +341,7 @@ def _read_photos(
 
 
 def _photo_path(folder: Path, index: int) -> Path:
-    return folder / "previews" / "inputs" / f"{index:03d}.png"
+    return folder / f"{index:03d}.png"
 
 
 def _one_of(path: Path, value: Any, choices: tuple[str, ...]) -> Any:

@@ -14,7 +14,8 @@ from instok3d.geometry.moving import move_gaussians
 from instok3d.pictures import display_color
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import BestView, SceneObject, describe_shape
-from instok3d.scene.scene import Provenance, Scene, SceneTokens, SceneView
+from instok3d.scene.record import Provenance, SceneTokens, SceneView, near_and_far
+from instok3d.scene.scene import Scene
 from instok3d.types import Cameras, Gaussians, TokenGroups
 
 MIN_PIXELS = 20
@@ -90,6 +91,7 @@ def scene_from_tokens(
         height=photos.shape[1], width=photos.shape[2], objects=(), views=tuple(views),
         photos=photos, units=units,
         frame="first camera" if cam_from_world is None else "given cameras",
+        near_far=near_and_far(gaussians, cameras),
         warnings=(*notes, *dropped), provenance=provenance,
     )  # fmt: skip
     return with_objects(bare)

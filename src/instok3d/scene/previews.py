@@ -1,5 +1,6 @@
 """Pictures that show at a glance what is in a scene."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,40 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
+from instok3d.scene.files import save_record
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
 
 CELL = 160
 """Height of a picture on the contact sheet, pixels."""
+
+
+def save_with_previews(
+    scene: Scene,
+    path: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> None:
+    """`Scene.save`, with pictures of the scene and of its objects in previews/.
+
+    Args:
+        scene: What to write.
+        path: The folder, such as room.itk.
+        overwrite: Replace a scene that is already there.
+        progress: Called with the name of each stage as it begins.
+
+    Raises:
+        FileExistsError, FileNotFoundError, PermissionError: As `save_record`.
+    """
+    begin = progress or (lambda stage: None)
+
+    def previews(folder: Path) -> None:
+        begin("previews")
+        write_previews(scene, folder / "previews")
+        begin("save")
+
+    save_record(scene, path, overwrite=overwrite, more=previews)
 
 
 def write_previews(scene: Scene, folder: Path) -> None:

@@ -13,9 +13,9 @@ from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_ca
 from instok3d.model.memory import Work, check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.photos.loading import PhotoSet, read_photos
-from instok3d.scene.files import load_scene
 from instok3d.scene.from_tokens import scene_from_tokens
-from instok3d.scene.scene import Provenance, Scene, SceneView
+from instok3d.scene.record import Provenance, SceneView
+from instok3d.scene.scene import Scene
 
 TRAINED_ON_ROOMS = (
     "the default model was trained on rendered rooms alone: its results on real photos are poor"
@@ -25,8 +25,8 @@ IMAGE_SIDE = 128
 
 
 def load(path: str | Path) -> Scene:
-    """The scene of a folder that `Scene.save` wrote; see `instok3d.scene.files.load_scene`."""
-    return load_scene(Path(path))
+    """The scene of a folder that `Scene.save` wrote; see `instok3d.scene.files.load_record`."""
+    return Scene.load(path)
 
 
 def reconstruct(

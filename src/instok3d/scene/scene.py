@@ -3,56 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Int
 from torch import Tensor
 
-from instok3d.geometry.cameras import invert_rigid, resize_intrinsics
-from instok3d.photos.pixel_map import PixelMap
+from instok3d.geometry.cameras import resize_intrinsics
 from instok3d.render import render
+from instok3d.scene.files import load_record, save_record
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.record import SceneRecord
 from instok3d.types import Cameras, Gaussians, Rendering
-
-
-@dataclass(frozen=True)
-class SceneView:
-    """One photo that the scene was made from."""
-
-    file: str
-    """Name of the file, without its folder."""
-    sha256: str
-    """Of the file's bytes."""
-    pixel_map: PixelMap
-    """Between the photo's pixels and those of the view at the scene's size."""
-
-
-@dataclass(frozen=True)
-class SceneTokens:
-    """The compact form of a scene: anchors, groups, and which anchor is whose."""
-
-    positions: Float[Tensor, "anchor 3"]
-    """a, in the scene's world."""
-    anchors: Float[Tensor, "anchor channel"]
-    """A."""
-    groups: Float[Tensor, "group channel"]
-    """G."""
-    assignment: Float[Tensor, "anchor group+1"]
-    """pi; the last column is the void."""
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """What a scene was made with."""
-
-    generator: str
-    """Program and version."""
-    model: str
-    """Name of the model."""
-    model_sha256: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -64,7 +26,7 @@ class Pictures(Rendering):
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(SceneRecord):
     """Objects and the Gaussians they consist of.
 
     An anchor belongs to the group with the largest assignment probability, or to none where the
@@ -72,37 +34,6 @@ class Scene:
     view (`from_tokens.MIN_PIXELS`); all other Gaussians are the rest, which renders like the
     objects and belongs to none of them.
     """
-
-    gaussians: Gaussians
-    """Unbatched, sorted by object in the order of `objects`; the rest comes last."""
-    tokens: SceneTokens
-    cameras: Cameras
-    """Of the input views; intrinsics for pictures of the scene's height and width."""
-    height: int
-    """Of the input views as the model saw them, pixels."""
-    width: int
-    objects: tuple[SceneObject, ...]
-    """By rising id."""
-    views: tuple[SceneView, ...]
-    photos: UInt8[Tensor, "view height width 3"]
-    """The input views as the model saw them, sRGB."""
-    units: Literal["metres", "arbitrary"]
-    """Of all lengths."""
-    frame: Literal["first camera", "given cameras"]
-    """The world: OpenCV axes of the first view's camera, or that of the given cameras."""
-    warnings: tuple[str, ...]
-    provenance: Provenance
-
-    @property
-    def near_far(self) -> tuple[float, float]:
-        """z-depths between which Gaussians are drawn: 5 cm and 100 m of a room 2.5 m deep.
-
-        Relative to the distance of the Gaussians, since the units may be arbitrary.
-        """
-        center = invert_rigid(self.cameras.cam_from_world[0])[:3, 3]
-        distances = (self.gaussians.means - center).norm(dim=1)
-        typical = float(distances.median()) if len(distances) else 1.0
-        return 0.02 * typical, 40 * typical
 
     def object(self, which: int | str) -> SceneObject:
         """The object of an id or a key such as "object#3".
@@ -175,11 +106,14 @@ class Scene:
             ids[start : start + count] = item.id
         return ids
 
-    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the scene folder; see `instok3d.scene.files.save_scene`."""
-        from instok3d.scene.files import save_scene
+    @staticmethod
+    def load(path: str | Path) -> "Scene":
+        """The scene of a folder; see `instok3d.scene.files.load_record`."""
+        return Scene(**vars(load_record(Path(path))))
 
-        save_scene(self, Path(path), overwrite=overwrite)
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the scene folder, without previews; see `instok3d.scene.files.save_record`."""
+        save_record(self, Path(path), overwrite=overwrite)
 
     def _input_cameras(self, views: Sequence[int] | None, height: int, width: int) -> Cameras:
         indices = list(range(len(self.views)) if views is None else views)

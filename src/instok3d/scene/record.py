@@ -1,0 +1,94 @@
+"""What a scene consists of, without anything that is done with it: what a scene folder holds."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from instok3d.geometry.cameras import invert_rigid
+from instok3d.photos.pixel_map import PixelMap
+from instok3d.scene.objects import SceneObject
+from instok3d.types import Cameras, Flow, Gaussians
+
+NEAR, FAR = 0.02, 40.0
+"""In typical distances: 5 cm and 100 m for a room 2.5 m deep."""
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """One photo that the scene was made from."""
+
+    file: str
+    """Name of the file, without its folder."""
+    sha256: str
+    """Of the file's bytes."""
+    pixel_map: PixelMap
+    """Between the photo's pixels and those of the view at the scene's size."""
+
+
+@dataclass(frozen=True)
+class SceneTokens(Flow):
+    """The compact form of a scene: anchors, groups, and which group each anchor belongs to."""
+
+    positions: Float[Tensor, "anchor 3"]
+    """a, in the scene's world."""
+    anchors: Float[Tensor, "anchor channel"]
+    """A."""
+    groups: Float[Tensor, "group channel"]
+    """G."""
+    assignment: Float[Tensor, "anchor group+1"]
+    """pi; the last column is the void."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a scene was made with."""
+
+    generator: str
+    """Program and version."""
+    model: str
+    """Name of the model."""
+    model_sha256: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """The data of a scene; `Scene` adds what can be done with it."""
+
+    gaussians: Gaussians
+    """Unbatched, sorted by object in the order of `objects`; the rest comes last."""
+    tokens: SceneTokens
+    cameras: Cameras
+    """Of the input views; intrinsics for pictures of the scene's height and width."""
+    height: int
+    """Of the input views as the model saw them, pixels."""
+    width: int
+    objects: tuple[SceneObject, ...]
+    """By rising id."""
+    views: tuple[SceneView, ...]
+    photos: UInt8[Tensor, "view height width 3"]
+    """The input views as the model saw them, sRGB."""
+    units: Literal["metres", "arbitrary"]
+    """Of all lengths."""
+    frame: Literal["first camera", "given cameras"]
+    """The world: OpenCV axes of the first view's camera, or that of the given cameras."""
+    near_far: tuple[float, float]
+    """z-depths between which Gaussians are drawn, scene units. Fixed when the scene is made:
+    an edit does not change what is drawn of the rest."""
+    warnings: tuple[str, ...]
+    """What was left out, guessed or ignored on the way here."""
+    provenance: Provenance
+
+
+def near_and_far(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float]:
+    """z-depths between which the Gaussians of a new scene are drawn, scene units.
+
+    Relative to the median distance of the Gaussians from the first camera, since the units may be
+    arbitrary.
+    """
+    center = invert_rigid(cameras.cam_from_world[0])[:3, 3]
+    distances = (gaussians.means - center).norm(dim=1)
+    typical = float(distances.median()) if len(distances) else 1.0
+    return NEAR * typical, FAR * typical

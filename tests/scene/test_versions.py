@@ -1,0 +1,78 @@
+"""Scene folders of older versions are read, and say the same."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+import instok3d
+from instok3d.scene.scene import Scene
+from instok3d.scene.versions import UPGRADES, VERSION, upgraded
+from made_scene import made_scene, made_tokens
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+FILE = Path("room.itk/scene.json")
+
+
+@pytest.mark.parametrize("version", range(1, VERSION))
+def test_every_older_version_is_read_as_the_scene_that_was_written(version: int):
+    # Each folder was written by the program of its time from the scene of made_scene.py.
+    loaded, made = instok3d.load(GOLDEN / f"scene_v{version}"), made_scene(made_tokens())
+    for name, value in vars(made.gaussians).items():
+        assert torch.equal(vars(loaded.gaussians)[name], value), name
+    assert torch.equal(loaded.tokens.assignment, made.tokens.assignment)
+    assert torch.equal(loaded.photos, made.photos)
+    assert loaded.objects == made.objects
+    assert loaded.near_far == made.near_far
+
+
+def test_there_is_an_upgrade_and_a_golden_folder_for_every_older_version():
+    assert sorted(UPGRADES) == list(range(1, VERSION))
+    assert [path.name for path in sorted(GOLDEN.glob("scene_v*"))] == [
+        f"scene_v{version}" for version in range(1, VERSION)
+    ]
+
+
+def test_an_old_scene_saved_again_is_one_of_today(tmp_path: Path):
+    instok3d.load(GOLDEN / "scene_v1").save(tmp_path / "new.itk")
+    made_scene(made_tokens()).save(tmp_path / "made.itk")
+    for file in ("scene.json", "cameras.json", "objects.json", "inputs/001.png"):
+        new, made = (tmp_path / name / file for name in ("new.itk", "made.itk"))
+        assert new.read_bytes() == made.read_bytes(), file
+
+
+@pytest.mark.parametrize("version", [0, VERSION + 1, "1", True, None, 1.0])
+def test_an_unknown_version_is_refused(version: object):
+    with pytest.raises(ValueError, match=r"room\.itk/scene\.json: this program reads scenes of"):
+        upgraded({"version": version}, FILE)
+    with pytest.raises(ValueError, match="not None"):
+        upgraded([], FILE)
+
+
+def test_photos_are_looked_for_nowhere_else(tmp_path: Path, scene: Scene):
+    scene.save(tmp_path / "room.itk")
+    file = tmp_path / "room.itk" / "scene.json"
+    header = json.loads(file.read_text())
+    for elsewhere in ("../other", "/etc", 3):
+        file.write_text(json.dumps(header | {"inputs_folder": elsewhere}))
+        with pytest.raises(ValueError, match="not 'inputs'"):
+            instok3d.load(tmp_path / "room.itk")
+
+
+@pytest.mark.parametrize("near_far", [[0, 1], [2, 1], [1, float("nan")], [1], None, "ab"])
+def test_depth_limits_that_cannot_be_are_refused(tmp_path: Path, scene: Scene, near_far: object):
+    scene.save(tmp_path / "room.itk")
+    file = tmp_path / "room.itk" / "scene.json"
+    header = json.loads(file.read_text())
+    file.write_text(json.dumps(header | {"near_far": near_far}))
+    with pytest.raises(ValueError, match=r"scene\.json|is damaged"):
+        instok3d.load(tmp_path / "room.itk")
+
+
+def test_an_old_folder_without_its_photos_is_incomplete(tmp_path: Path):
+    shutil.copytree(GOLDEN / "scene_v1", tmp_path / "room.itk")
+    shutil.rmtree(tmp_path / "room.itk" / "previews")
+    with pytest.raises(FileNotFoundError, match=r"incomplete: .*000\.png is missing"):
+        instok3d.load(tmp_path / "room.itk")
