@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import torch
 
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import (
+    MatchedPoints,
     best_loops,
     compose_along_tree,
     register_pair,
@@ -11,7 +14,9 @@ from instok3d.geometry.registration import (
 from instok3d.geometry.rotations import angle_between_rad
 
 
-def two_views(rng: torch.Generator, depth_error: float) -> tuple[torch.Tensor, tuple]:
+def two_views(
+    rng: torch.Generator, depth_error: float
+) -> tuple[torch.Tensor, MatchedPoints, MatchedPoints]:
     """A cloud before two cameras, with exact rays and depths that are wrong by a random factor."""
     b_from_a = rigid_from_twist(torch.tensor([[0.3, -0.1, 0.2, 0.05, 0.3, -0.1]]))
     rays = torch.rand(1, 400, 2, generator=rng) - 0.5
@@ -27,37 +32,34 @@ def two_views(rng: torch.Generator, depth_error: float) -> tuple[torch.Tensor, t
         points_b[..., :2] / points_b[..., 2:],
     )
     trust = torch.ones(1, 400)
-    return b_from_a, (
-        spoil(points_a), seen_in_b, spoil(points_b), trust,
-        spoil(points_b), seen_in_a, spoil(points_a), trust,
-    )  # fmt: skip
+    a = MatchedPoints(spoil(points_a), seen_in_b, spoil(points_b), trust)
+    return b_from_a, a, MatchedPoints(spoil(points_b), seen_in_a, spoil(points_a), trust)
 
 
 def test_exact_matches_give_the_exact_camera(rng):
-    true, matches = two_views(rng, depth_error=0.0)
-    torch.testing.assert_close(register_pair(*matches), true, atol=1e-4, rtol=1e-4)
+    true, a, b = two_views(rng, depth_error=0.0)
+    torch.testing.assert_close(register_pair(a, b), true, atol=1e-4, rtol=1e-4)
 
 
 def test_errors_of_depth_hardly_turn_the_camera(rng):
-    true, matches = two_views(rng, depth_error=0.15)
-    found = register_pair(*matches)
+    true, a, b = two_views(rng, depth_error=0.15)
+    found = register_pair(a, b)
     angle = torch.rad2deg(angle_between_rad(found[0, :3, :3], true[0, :3, :3]))
     assert float(angle) < 1.0
 
 
 def test_a_third_of_wrong_matches_is_outvoted(rng):
-    true, matches = two_views(rng, depth_error=0.05)
-    points, rays, matched, trust, *back = matches
-    rays[:, :130] = torch.rand(1, 130, 2, generator=rng) - 0.5
-    matched[:, :130] = torch.randn(1, 130, 3, generator=rng)
-    found = register_pair(points, rays, matched, trust, *back)
+    true, a, b = two_views(rng, depth_error=0.05)
+    a.rays[:, :130] = torch.rand(1, 130, 2, generator=rng) - 0.5
+    a.matched[:, :130] = torch.randn(1, 130, 3, generator=rng)
+    found = register_pair(a, b)
     angle = torch.rad2deg(angle_between_rad(found[0, :3, :3], true[0, :3, :3]))
     assert float(angle) < 1.0
 
 
 def test_matches_that_nobody_trusts_give_a_finite_camera(rng):
-    _, matches = two_views(rng, depth_error=0.0)
-    silenced = tuple(torch.zeros_like(m) if m.ndim == 2 else m for m in matches)
+    _, a, b = two_views(rng, depth_error=0.0)
+    silenced = (replace(way, trust=torch.zeros_like(way.trust)) for way in (a, b))
     assert register_pair(*silenced).isfinite().all()
 
 

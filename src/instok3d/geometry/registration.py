@@ -1,5 +1,7 @@
 """Relative cameras from points and their matched pixels, and their composition over many views."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -36,18 +38,22 @@ def _projection_jacobian(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     return torch.stack(rows, dim=-2)
 
 
+@dataclass(frozen=True)
+class MatchedPoints:
+    """Points of one camera and where another one sees them: one direction of a pair."""
+
+    points: Float[Tensor, "batch point 3"]
+    """In the frame of their own camera."""
+    rays: Float[Tensor, "batch point 2"]
+    """x/z, y/z of the match of each in the other camera's frame."""
+    matched: Float[Tensor, "batch point 3"]
+    """The other camera's surface point at that place, in the other camera's frame."""
+    trust: Float[Tensor, "batch point"]
+    """Weight of each match, >= 0."""
+
+
 def register_pair(
-    points_a: Float[Tensor, "batch point 3"],
-    rays_in_b: Float[Tensor, "batch point 2"],
-    matched_b: Float[Tensor, "batch point 3"],
-    weights_a: Float[Tensor, "batch point"],
-    points_b: Float[Tensor, "batch point 3"],
-    rays_in_a: Float[Tensor, "batch point 2"],
-    matched_a: Float[Tensor, "batch point 3"],
-    weights_b: Float[Tensor, "batch point"],
-    *,
-    iterations: int = 8,
-    inlier_radius: float = 0.02,
+    a: MatchedPoints, b: MatchedPoints, *, iterations: int = 8, inlier_radius: float = 0.02
 ) -> Float[Tensor, "batch 4 4"]:
     """b_from_a: the rigid transform under which both cameras see each other's points in place.
 
@@ -57,21 +63,15 @@ def register_pair(
     errors of depth count little. Not differentiable: the matches are trained directly.
 
     Args:
-        points_a: Points in camera a's frame.
-        rays_in_b: Where each of them is seen in b, as x/z, y/z of the ray in b's frame.
-        matched_b: The 3D point of b at that place, in b's frame.
-        weights_a: Trust in each match, >= 0.
-        points_b: Points in camera b's frame, with the same three fields for the way back.
-        rays_in_a: As rays_in_b.
-        matched_a: As matched_b.
-        weights_b: As weights_a.
+        a: Points of camera a as b sees them.
+        b: Points of camera b as a sees them.
         iterations: Of Gauss-Newton.
         inlier_radius: Distance in x/z, y/z at which a match has lost half its weight.
     """
     with torch.no_grad():
-        source = torch.cat([points_a, matched_a], dim=1)
-        target = torch.cat([matched_b, points_b], dim=1)
-        weights = torch.cat([weights_a, weights_b], dim=1)
+        source = torch.cat([a.points, b.matched], dim=1)
+        target = torch.cat([a.matched, b.points], dim=1)
+        weights = torch.cat([a.trust, b.trust], dim=1)
         robust = weights
         b_from_a = rigid(*weighted_procrustes(source, target, robust))
         for _ in range(4):
@@ -80,37 +80,26 @@ def register_pair(
             robust = weights / (1 + (relative / 0.1) ** 2)
             b_from_a = rigid(*weighted_procrustes(source, target, robust))
         for _ in range(iterations):
-            b_from_a = _gauss_newton_step(
-                b_from_a, points_a, rays_in_b, weights_a, points_b, rays_in_a, weights_b,
-                inlier_radius,
-            )  # fmt: skip
+            b_from_a = _gauss_newton_step(b_from_a, a, b, inlier_radius)
         return b_from_a
 
 
 def _gauss_newton_step(
-    b_from_a: Tensor,
-    points_a: Tensor,
-    rays_in_b: Tensor,
-    weights_a: Tensor,
-    points_b: Tensor,
-    rays_in_a: Tensor,
-    weights_b: Tensor,
+    b_from_a: Float[Tensor, "batch 4 4"],
+    a: MatchedPoints,
+    b: MatchedPoints,
     inlier_radius: float,
-) -> Tensor:
+) -> Float[Tensor, "batch 4 4"]:
     rotation, translation = b_from_a[:, :3, :3], b_from_a[:, :3, 3]
-    identity = torch.eye(3, dtype=points_a.dtype, device=points_a.device)
+    identity = torch.eye(3, dtype=a.points.dtype, device=a.points.device)
 
-    seen_b = points_a @ rotation.mT + translation[:, None]
+    seen_b = a.points @ rotation.mT + translation[:, None]
     motion_b = torch.cat([identity.expand(*seen_b.shape[:2], 3, 3), -skew(seen_b)], dim=-1)
-    seen_a = (points_b - translation[:, None]) @ rotation
-    motion_a = torch.cat([identity.expand(*points_b.shape[:2], 3, 3), -skew(points_b)], dim=-1)
+    seen_a = (b.points - translation[:, None]) @ rotation
+    motion_a = torch.cat([identity.expand(*b.points.shape[:2], 3, 3), -skew(b.points)], dim=-1)
     motion_a = -(rotation.mT[:, None] @ motion_a)
-    hessian_b, gradient_b = _equations_one_way(
-        seen_b, rays_in_b, weights_a, motion_b, inlier_radius
-    )
-    hessian_a, gradient_a = _equations_one_way(
-        seen_a, rays_in_a, weights_b, motion_a, inlier_radius
-    )
+    hessian_b, gradient_b = _equations_one_way(seen_b, a, motion_b, inlier_radius)
+    hessian_a, gradient_a = _equations_one_way(seen_a, b, motion_a, inlier_radius)
     hessian = hessian_a + hessian_b
     damping = 1e-4 * hessian.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-6)
     hessian = hessian + damping[:, None, None] * torch.eye(6).to(hessian)
@@ -122,8 +111,7 @@ def _gauss_newton_step(
 
 def _equations_one_way(
     seen: Float[Tensor, "batch point 3"],
-    rays: Float[Tensor, "batch point 2"],
-    weights: Float[Tensor, "batch point"],
+    way: MatchedPoints,
     motion: Float[Tensor, "batch point 3 6"],
     inlier_radius: float,
 ) -> tuple[Float[Tensor, "batch 6 6"], Float[Tensor, "batch 6 1"]]:
@@ -131,15 +119,14 @@ def _equations_one_way(
 
     Args:
         seen: The points, in the frame of the camera that sees them.
-        rays: x/z, y/z at which it sees them.
-        weights: Trust in each.
+        way: Where that camera sees them.
         motion: Derivative of seen by the twist.
         inlier_radius: As in `register_pair`.
     """
     front = seen[..., 2] > 0.05
     safe = torch.where(front[..., None], seen, torch.ones_like(seen))
-    residual = safe[..., :2] / safe[..., 2:] - rays
-    robust = weights * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
+    residual = safe[..., :2] / safe[..., 2:] - way.rays
+    robust = way.trust * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
     jacobian = _projection_jacobian(safe) @ motion
     flat = (jacobian * robust[..., None, None]).flatten(1, 2)
     return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])

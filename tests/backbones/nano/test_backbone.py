@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig, RawGeometry
-from instok3d.backbones.nano.bundle import BundleNoise
+from instok3d.backbones.nano.bundle import SolveSettings
 from instok3d.backbones.nano.matching import find_peaks
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PhotoViews
@@ -87,13 +87,7 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone, dis
     walls = torch.full((1, 2, 32, 32), distance)
     # The photos show nothing: the matches stay where the descriptors put them.
     views = PhotoViews(torch.zeros(1, 2, 3, 32, 32), walls, intrinsics)
-    solved = solve_views(
-        matches,
-        views,
-        depth_is_free=torch.full((1, 2), free),
-        focal_is_free=False,
-        noise=BundleNoise(),
-    )
+    solved = solve_views(matches, views, SolveSettings(torch.full((1, 2), free)))
     expected = torch.eye(4)
     expected[0, 3] = -4 / 32 * distance
     found = solved.cam_from_first[0, 1]

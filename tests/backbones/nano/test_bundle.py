@@ -10,6 +10,7 @@ from instok3d.backbones.nano import bundle
 from instok3d.backbones.nano.bundle import (
     BundleNoise,
     Sightings,
+    SolveSettings,
     adjust_bundle,
     coarse_grid,
     node_weights,
@@ -69,6 +70,11 @@ def sight(
     return Sightings(*(torch.stack(each) for each in zip(*rows, strict=True)))
 
 
+def free(count: int, *, focal: bool = False) -> SolveSettings:
+    """The depth of all views may change."""
+    return SolveSettings(torch.ones(1, count), focal_is_free=focal)
+
+
 def turn_error_deg(found: torch.Tensor, true: torch.Tensor) -> float:
     return float(torch.rad2deg(angle_between_rad(found[0, :, :3, :3], true[:, :3, :3])).max())
 
@@ -95,9 +101,7 @@ def test_exact_matches_bring_wrong_cameras_back_and_leave_the_depth(rng):
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
     start = rigid_from_twist(0.03 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes, _ = adjust_bundle(
-        sightings, start[None], torch.ones(1, 3), GRID, iterations=12
-    )
+    cameras, changes, _ = adjust_bundle(sightings, start[None], free(3), GRID, iterations=12)
     torch.testing.assert_close(cameras[0], true, atol=2e-3, rtol=0)
     torch.testing.assert_close(changes, torch.zeros(1, 3, 16), atol=5e-3, rtol=0)
 
@@ -116,7 +120,7 @@ def test_any_number_of_threads_gives_the_same_bits(rng):
     try:
         for count in (2, 2, 1):
             torch.set_num_threads(count)
-            found.append(adjust_bundle(sightings, start[None], torch.ones(1, 5), (8, 8)))
+            found.append(adjust_bundle(sightings, start[None], free(5), (8, 8)))
     finally:
         torch.set_num_threads(threads)
     for again in found[1:]:
@@ -131,7 +135,7 @@ def test_wrong_depth_is_found_together_with_the_cameras(rng):
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], error)
     start = rigid_from_twist(0.02 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes, _ = adjust_bundle(sightings, start[None], torch.ones(1, 3), GRID)
+    cameras, changes, _ = adjust_bundle(sightings, start[None], free(3), GRID)
     left = error + changes[0]
     left = left - left.mean()
     assert left.std() < 0.4 * error.std()
@@ -143,7 +147,9 @@ def test_known_depth_stays(rng):
     error = torch.zeros(2, 16)
     error[1] = 0.1 * torch.randn(16, generator=rng)
     sightings = sight(rng, true, [(0, 1)], error)
-    _, changes, _ = adjust_bundle(sightings, true[None], torch.tensor([[0.0, 1.0]]), GRID)
+    _, changes, _ = adjust_bundle(
+        sightings, true[None], SolveSettings(torch.tensor([[0.0, 1.0]])), GRID
+    )
     assert changes[0, 0].abs().max() < 1e-3
     assert changes[0, 1].abs().max() > 0.03
 
@@ -155,10 +161,10 @@ def test_a_pair_that_contradicts_the_others_changes_nothing(rng):
     rays = torch.where(false[:, None, None], sightings.rays + 0.4, sightings.rays)
     start = (rigid_from_twist(0.01 * torch.randn(4, 6, generator=rng)) @ true)[None]
     start[0, 0] = true[0]
-    free = torch.ones(1, 4)
-    with_it, *_ = adjust_bundle(replace(sightings, rays=rays), start, free, GRID)
+    everything = free(4)
+    with_it, *_ = adjust_bundle(replace(sightings, rays=rays), start, everything, GRID)
     kept = {name: value[~false] for name, value in vars(sightings).items()}
-    without, *_ = adjust_bundle(Sightings(**kept), start, free, GRID)
+    without, *_ = adjust_bundle(Sightings(**kept), start, everything, GRID)
     torch.testing.assert_close(with_it, without, atol=1e-5, rtol=0)
 
 
@@ -167,7 +173,7 @@ def test_matches_that_nobody_trusts_change_nothing(rng, trust):
     true = cameras_on_a_path(2)
     sightings = sight(rng, true, [(0, 1)], torch.ones(2, 16))
     unsure = replace(sightings, trust=torch.full_like(sightings.trust, trust))
-    cameras, changes, _ = adjust_bundle(unsure, true[None], torch.ones(1, 2), GRID)
+    cameras, changes, _ = adjust_bundle(unsure, true[None], free(2), GRID)
     torch.testing.assert_close(cameras[0], true, atol=1e-5, rtol=0)
     assert changes.abs().max() < 1e-6
 
@@ -176,7 +182,7 @@ def test_points_behind_the_other_camera_are_left_out(rng):
     turned_away = torch.eye(4).repeat(2, 1, 1)
     turned_away[1, 0, 0] = turned_away[1, 2, 2] = -1
     sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
-    cameras, changes, _ = adjust_bundle(sightings, turned_away[None], torch.ones(1, 2), GRID)
+    cameras, changes, _ = adjust_bundle(sightings, turned_away[None], free(2), GRID)
     torch.testing.assert_close(cameras[0], turned_away, atol=1e-5, rtol=0)
     assert changes.isfinite().all()
 
@@ -186,7 +192,7 @@ def test_without_another_view_everything_stays(rng):
     nothing = Sightings(**{name: value[:0] for name, value in vars(nothing).items()})
     for count in (1, 3):
         start = cameras_on_a_path(count)[None]
-        cameras, changes, _ = adjust_bundle(nothing, start, torch.ones(1, count), GRID)
+        cameras, changes, _ = adjust_bundle(nothing, start, free(count), GRID)
         assert torch.equal(cameras, start)
         assert changes.shape == (1, count, 16)
         assert changes.count_nonzero() == 0
@@ -198,12 +204,12 @@ def test_a_ray_counts_as_far_as_it_is_precise(rng):
     exact = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
     sideways = torch.tensor([[1 / 0.006**2, 0.0], [0.0, 1e-2]]).expand_as(exact.precision)
     wrong = torch.stack([torch.zeros(2, POINTS), 0.05 * torch.ones(2, POINTS)], dim=-1)
-    free, start = torch.ones(1, 2), true[None]
+    start = true[None]
     blind = replace(exact, rays=exact.rays + wrong, precision=sideways)
-    cameras, *_ = adjust_bundle(blind, start, free, GRID)
+    cameras, *_ = adjust_bundle(blind, start, free(2), GRID)
     torch.testing.assert_close(cameras, start, atol=2e-3, rtol=0)
     seeing = replace(exact, rays=exact.rays + wrong)
-    cameras, *_ = adjust_bundle(seeing, start, free, GRID)
+    cameras, *_ = adjust_bundle(seeing, start, free(2), GRID)
     assert (cameras - start).abs().max() > 0.02
 
 
@@ -274,13 +280,11 @@ def test_a_wrong_focal_length_is_found_where_it_is_free(rng):
     sightings = sight(rng, true, pairs, torch.zeros(4, 16))
     taken = torch.tensor([1.1, 1.1, 1.0])
     wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
-    start, free = true[None], torch.ones(1, 4)
-    cameras, _, log_focal = adjust_bundle(
-        wrong, start, free, GRID, focal_is_free=True, iterations=20
-    )
+    start = true[None]
+    cameras, _, log_focal = adjust_bundle(wrong, start, free(4, focal=True), GRID, iterations=20)
     torch.testing.assert_close(log_focal, torch.tensor([1.1]).log(), atol=0.03, rtol=0)
     assert turn_error_deg(cameras, true) < 0.3
-    *_, log_focal = adjust_bundle(wrong, start, free, GRID, iterations=20)
+    *_, log_focal = adjust_bundle(wrong, start, free(4), GRID, iterations=20)
     assert log_focal.item() == 0
 
 
@@ -303,7 +307,7 @@ def test_pairs_agree_with_the_focal_length_that_was_solved_for(rng):
 def test_a_right_focal_length_stays(rng):
     true = cameras_on_a_path(3)
     sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
-    *_, log_focal = adjust_bundle(sightings, true[None], torch.ones(1, 3), GRID, focal_is_free=True)
+    *_, log_focal = adjust_bundle(sightings, true[None], free(3, focal=True), GRID)
     assert log_focal.abs().item() < 1e-3
 
 
@@ -315,8 +319,8 @@ def test_a_focal_length_that_nothing_speaks_for_goes_back_to_the_guess_by_hand(r
     unsure = replace(sightings, trust=torch.zeros_like(sightings.trust))
     for iterations, expected in ((1, 0.15), (2, 0.05), (3, 0.0)):
         *_, found = adjust_bundle(
-            unsure, true[None], torch.ones(1, 2), GRID,
-            focal_is_free=True, log_focal=torch.tensor([0.25]), iterations=iterations,
+            unsure, true[None], free(2, focal=True), GRID,
+            log_focal=torch.tensor([0.25]), iterations=iterations,
         )  # fmt: skip
         assert found.item() == pytest.approx(expected, abs=1e-6)
 
@@ -328,10 +332,8 @@ def test_a_focal_length_moves_as_far_as_its_prior_lets_it(rng):
     wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
 
     def found(deviation: float) -> float:
-        *_, log_focal = adjust_bundle(
-            wrong, true[None], torch.ones(1, 4), GRID,
-            noise=BundleNoise(focal=deviation), focal_is_free=True, iterations=20,
-        )  # fmt: skip
+        settings = SolveSettings(torch.ones(1, 4), True, BundleNoise(focal=deviation))
+        *_, log_focal = adjust_bundle(wrong, true[None], settings, GRID, iterations=20)
         return log_focal.item()
 
     assert abs(found(1e-4)) < 0.002

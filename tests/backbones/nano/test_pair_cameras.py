@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from instok3d.backbones.nano.bundle import BundleNoise
+from instok3d.backbones.nano.bundle import SolveSettings
 from instok3d.backbones.nano.matching import PEAK_ERROR_PX, Matches, cell_centers, join_matches
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews
@@ -71,9 +71,7 @@ def solve(pairs: list[PairMatches], views: int, scenes: int = 1) -> Tensor:
             depths.expand(scenes, -1, -1, -1),
             INTRINSICS.expand(scenes, views, 3, 3),
         ),
-        depth_is_free=torch.zeros(scenes, views),
-        focal_is_free=False,
-        noise=BundleNoise(),
+        SolveSettings(torch.zeros(scenes, views)),
     )
     return solved.cam_from_first
 

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.backbones.nano.matching import Matches, cell_centers
-from instok3d.backbones.nano.pair_matches import MatchedPoints, PairMatches, PhotoViews
+from instok3d.backbones.nano.pair_matches import MatchedCells, PairMatches, PhotoViews
 from instok3d.backbones.nano.refinement import gather_evidence, measure_parallax
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.types import Views
@@ -21,11 +21,11 @@ def one_match(
     ray: tuple[float, float],
     trust: float = 1.0,
     precision: tuple[float, float] = (1.0, 1.0),
-) -> MatchedPoints:
+) -> MatchedCells:
     """A cell straight ahead at some depth, seen by the other camera along a ray."""
     point = torch.tensor([[[0.0, 0.0, depth]]])
     known = torch.tensor(precision).diag()[None, None]
-    return MatchedPoints(point, torch.tensor([[ray]]), known, point, torch.tensor([[trust]]))
+    return MatchedCells(point, torch.tensor([[ray]]), point, torch.tensor([[trust]]), known)
 
 
 def stepped_aside(distance: float) -> torch.Tensor:
@@ -135,9 +135,9 @@ def test_what_the_refinement_looks_at_is_not_differentiated(rng):
     views = Views(torch.rand(1, 2, 3, 32, 32, generator=rng))
     raw = backbone.encode(views)
     intrinsics, matches = backbone.intrinsics(views, raw), backbone.find_matches(raw)
-    refined = backbone.refine(raw, views.images, intrinsics, matches, focal_is_free=True)
+    refined = backbone.refine(raw, views, intrinsics, matches)
     backbone.refinement = None
-    coarse = backbone.refine(raw, views.images, intrinsics, matches, focal_is_free=True)
+    coarse = backbone.refine(raw, views, intrinsics, matches)
     assert not torch.equal(refined.log_depths, coarse.log_depths)
     (slope,) = torch.autograd.grad(refined.log_depths.sum(), raw.log_depths)
     assert torch.equal(slope, torch.ones_like(slope))
@@ -157,9 +157,7 @@ def test_without_a_network_depth_still_moves_with_the_cameras(rng):
         backbone.log_sharpness.fill_(4.0)
     matches = backbone.find_matches(raw)
     assert matches[0].of_a.trust.min() > 0.6
-    refined = backbone.refine(
-        raw, views.images, backbone.intrinsics(views, raw), matches, focal_is_free=True
-    )
+    refined = backbone.refine(raw, views, backbone.intrinsics(views, raw), matches)
     moved = refined.log_depths - raw.log_depths
     # Two views with one and the same picture: their depths come together.
     before = (raw.log_depths[0, 0] - raw.log_depths[0, 1]).abs().mean()

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
-from instok3d.backbones.nano.bundle import BundleNoise
+from instok3d.backbones.nano.bundle import BundleNoise, SolveSettings
 from instok3d.backbones.nano.depth_agreement import agree_on_depths
 from instok3d.backbones.nano.layers import SelfAttentionBlock, Stem, Unshuffle
 from instok3d.backbones.nano.matching import MATCH_STRIDE, find_peaks
@@ -191,12 +191,10 @@ class NanoBackbone(GeometryBackbone):
             intrinsics = self.intrinsics(views, raw)
             solved_for = not (known.all() and keep_cameras)
             matches = self.find_matches(raw) if solved_for else []
-        refined, focal_is_free = None, views.intrinsics is None
+        refined = None
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         if not known.all():
-            refined = self.refine(
-                raw, views.images, intrinsics, matches, focal_is_free=focal_is_free
-            )
+            refined = self.refine(raw, views, intrinsics, matches)
             log_depths, log_confidences = refined.log_depths, refined.log_confidences
         with torch.autocast(views.images.device.type, enabled=False):
             depths = log_depths.exp()
@@ -206,24 +204,17 @@ class NanoBackbone(GeometryBackbone):
                 cam_from_world = views.cam_from_world.float()
             else:
                 free = (~known).all(-1).all(-1).float()
+                settings = SolveSettings(free, views.intrinsics is None, AFTER_REFINEMENT)
                 posed = PhotoViews(views.images.float(), depths, intrinsics)
                 if refined is None or known.any():
-                    solved = solve_views(
-                        matches,
-                        posed,
-                        depth_is_free=free,
-                        focal_is_free=focal_is_free,
-                        noise=AFTER_REFINEMENT,
-                    )
+                    solved = solve_views(matches, posed, settings)
                 else:
                     posed = replace(posed, intrinsics=refined.intrinsics)
                     solved = improve_views(
                         matches,
                         posed,
                         unsolved(posed, refined.cam_from_first),
-                        depth_is_free=free,
-                        focal_is_free=False,
-                        noise=AFTER_REFINEMENT,
+                        replace(settings, focal_is_free=False),
                     )
                 intrinsics = scale_focal(posed.intrinsics, solved.log_focal)
                 cam_from_world = solved.cam_from_first
@@ -244,24 +235,27 @@ class NanoBackbone(GeometryBackbone):
     def refine(
         self,
         raw: RawGeometry,
-        images: Float[Tensor, "batch view 3 height width"],
+        photos: Views,
         intrinsics: Float[Tensor, "batch view 3 3"],
         matches: list[PairMatches],
-        *,
-        focal_is_free: bool,
     ) -> RefinedDepth:
         """Depth moved to where the matches put it: coarsely with the cameras, then by the network.
 
         Differentiable in the weights of the refinement and in the depth and confidence that it
         corrects, not in what it looks at.
+
+        Args:
+            raw: What the network says of the photos.
+            photos: With intrinsics where they are known; otherwise the focal length is solved for.
+            intrinsics: The known ones, or those that `intrinsics` predicts.
+            matches: As `find_matches` gives them.
         """
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         with torch.autocast(log_depths.device.type, enabled=False), torch.no_grad():
-            views = PhotoViews(images.float(), log_depths.exp(), intrinsics)
+            views = PhotoViews(photos.images.float(), log_depths.exp(), intrinsics)
             free = torch.ones_like(views.depths[..., 0, 0])
-            solved = solve_views(
-                matches, views, depth_is_free=free, focal_is_free=focal_is_free, noise=AT_FIRST
-            )
+            settings = SolveSettings(free, photos.intrinsics is None, AT_FIRST)
+            solved = solve_views(matches, views, settings)
             views = views.moved(solved)
         log_depths = log_depths + solved.deeper
         if self.refinement is not None:

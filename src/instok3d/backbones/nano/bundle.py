@@ -69,6 +69,17 @@ class BundleNoise:
     """Standard deviations at which an error has lost half its weight."""
 
 
+@dataclass(frozen=True)
+class SolveSettings:
+    """Which values are solved for, and how wrong those may be that they start from."""
+
+    depth_is_free: Float[Tensor, "batch view"]
+    """1 where the depth of a view may change, 0 where it is known."""
+    focal_is_free: bool = False
+    """Whether the focal length of a scene, one for all its views, is a guess."""
+    noise: BundleNoise = BundleNoise()
+
+
 def coarse_grid(height: int, width: int, longer: int = 8) -> tuple[int, int]:
     """Rows and columns of the nodes: `longer` along the longer side, cells about square."""
     side = max(height, width)
@@ -94,11 +105,9 @@ def node_weights(
 def adjust_bundle(
     sightings: Sightings,
     cam_from_first: Float[Tensor, "batch view 4 4"],
-    depth_is_free: Float[Tensor, "batch view"],
+    settings: SolveSettings,
     grid: tuple[int, int],
     *,
-    noise: BundleNoise = BundleNoise(),
-    focal_is_free: bool = False,
     log_focal: Float[Tensor, " batch"] | None = None,
     iterations: int = 6,
 ) -> tuple[
@@ -116,16 +125,14 @@ def adjust_bundle(
     Args:
         sightings: In the units of the cameras.
         cam_from_first: Where to start.
-        depth_is_free: 1 where the depth of a view may change, 0 where it is known.
+        settings: What is solved for, and what errors to expect.
         grid: Rows and columns of nodes.
-        noise: What to expect.
-        focal_is_free: Whether the focal length of a scene, one for all its views, is a guess.
         log_focal: Logarithm of the focal length over that of the sightings, where to start; none
             is 0, and stays 0 where it is known.
         iterations: Of Gauss-Newton.
     """
     batch, count = cam_from_first.shape[:2]
-    nodes = grid[0] * grid[1]
+    nodes, noise = grid[0] * grid[1], settings.noise
     cameras, changes = cam_from_first, cam_from_first.new_zeros(batch, count, nodes)
     longer = cam_from_first.new_zeros(batch) if log_focal is None else log_focal
     if count < 2 or not len(sightings.scenes):
@@ -136,7 +143,7 @@ def adjust_bundle(
     sightings = replace(sightings, trust=trust)
     prior = _prior_precision(grid, noise).to(changes)
     # A depth that is known is one whose prior is a thousand times as narrow.
-    stiffness = torch.where(depth_is_free > 0, 1.0, 1e6)[..., None, None] * prior
+    stiffness = torch.where(settings.depth_is_free > 0, 1.0, 1e6)[..., None, None] * prior
     for _ in range(iterations):
         equations = _normal_equations(sightings, cameras, changes, longer, here, there, noise)
         views = torch.arange(count, device=changes.device)
@@ -145,7 +152,7 @@ def adjust_bundle(
         narrow = 1 / (noise.focal**2 + longer.square())
         equations.focal_hessian.add_(narrow)
         equations.focal_gradient.add_(narrow * longer)
-        step, focal_step = _solve(equations, focal_is_free=focal_is_free)
+        step, focal_step = _solve(equations, focal_is_free=settings.focal_is_free)
         cameras = rigid_from_twist(step[..., :6]) @ cameras
         changes = (changes + step[..., 6:]).clamp(-0.7, 0.7)
         longer = (longer + focal_step.clamp(-0.1, 0.1)).clamp(-0.5, 0.5)

@@ -11,6 +11,7 @@ from instok3d.backbones.nano.alignment import align_matches
 from instok3d.backbones.nano.bundle import (
     NEAREST,
     BundleNoise,
+    SolveSettings,
     adjust_bundle,
     coarse_grid,
     counted_trust,
@@ -20,7 +21,7 @@ from instok3d.backbones.nano.pair_matches import (
     PairMatches,
     PhotoViews,
     SolvedViews,
-    matched_points,
+    matched_cells,
     pair_sightings,
     thinned,
 )
@@ -44,10 +45,7 @@ AGREEMENT_TOGETHER = 0.05
 def solve_views(
     pairs: list[PairMatches],
     views: PhotoViews,
-    *,
-    depth_is_free: Float[Tensor, "batch view"],
-    focal_is_free: bool,
-    noise: BundleNoise,
+    settings: SolveSettings,
 ) -> SolvedViews:
     """The cameras under which all matches fit best, and depth moved with them.
 
@@ -59,34 +57,18 @@ def solve_views(
     Args:
         pairs: Matches of enough pairs to link all views.
         views: The cameras come out in units of their depths.
-        depth_is_free: 1 for views whose depth may change, 0 where it is known.
-        focal_is_free: Whether the focal length, the same for all views of a scene, is a guess.
-        noise: What to expect of the depths.
+        settings: What is solved for, and what errors to expect of the depths.
     """
     if not pairs:
         first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
         return unsolved(views, first.clone())
     few = thinned(pairs, views)
     if len(pairs) == 1:
-        solved = _adjust(
-            few,
-            views,
-            unsolved(views, _register(pairs[0], views)),
-            depth_is_free=depth_is_free,
-            focal_is_free=focal_is_free,
-            noise=noise,
-        )
+        solved = _adjust(few, views, unsolved(views, _register(pairs[0], views)), settings)
     else:
-        solved = unsolved(views, _chain_pairs(pairs, views, depth_is_free, noise))
+        solved = unsolved(views, _chain_pairs(pairs, views, settings))
     for matches in [few] * THINNED_ROUNDS + [pairs] * FULL_ROUNDS:
-        solved = improve_views(
-            matches,
-            views,
-            solved,
-            depth_is_free=depth_is_free,
-            focal_is_free=focal_is_free,
-            noise=noise,
-        )
+        solved = improve_views(matches, views, solved, settings)
     return solved
 
 
@@ -98,13 +80,7 @@ def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"])
 
 @torch.no_grad()
 def improve_views(
-    pairs: list[PairMatches],
-    views: PhotoViews,
-    solved: SolvedViews,
-    *,
-    depth_is_free: Float[Tensor, "batch view"],
-    focal_is_free: bool,
-    noise: BundleNoise,
+    pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, settings: SolveSettings
 ) -> SolvedViews:
     """One round more: the matches aligned by what is solved, and everything solved from them.
 
@@ -112,25 +88,16 @@ def improve_views(
         pairs: As they were found, all matches or some.
         views: As in `solve_views`.
         solved: Where to begin.
-        depth_is_free: As in `solve_views`.
-        focal_is_free: As in `solve_views`.
-        noise: What to expect of the depths of `views`.
+        settings: As in `solve_views`; the depths are those of `views`.
     """
     if not pairs:
         return solved
     aligned = align_pairs(pairs, views.moved(solved), solved.cam_from_first)
     if len(pairs) > 1:
-        noise = replace(noise, shared=SHARED_TOGETHER, agreement=AGREEMENT_TOGETHER)
+        noise = replace(settings.noise, shared=SHARED_TOGETHER, agreement=AGREEMENT_TOGETHER)
     else:  # no other could say that it is wrong
-        noise = replace(noise, shared=SHARED_ALONE)
-    return _adjust(
-        aligned,
-        views,
-        solved,
-        depth_is_free=depth_is_free,
-        focal_is_free=focal_is_free,
-        noise=noise,
-    )
+        noise = replace(settings.noise, shared=SHARED_ALONE)
+    return _adjust(aligned, views, solved, replace(settings, noise=noise))
 
 
 def align_pairs(
@@ -148,25 +115,13 @@ def align_pairs(
 
 
 def _adjust(
-    pairs: list[PairMatches],
-    views: PhotoViews,
-    solved: SolvedViews,
-    *,
-    depth_is_free: Float[Tensor, "batch view"],
-    focal_is_free: bool,
-    noise: BundleNoise,
+    pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, settings: SolveSettings
 ) -> SolvedViews:
     height, width = views.depths.shape[-2:]
     grid = coarse_grid(height, width)
     sightings = pair_sightings(pairs, views)
     cam_from_first, changes, log_focal = adjust_bundle(
-        sightings,
-        solved.cam_from_first,
-        depth_is_free,
-        grid,
-        noise=noise,
-        focal_is_free=focal_is_free,
-        log_focal=solved.log_focal,
+        sightings, solved.cam_from_first, settings, grid, log_focal=solved.log_focal
     )
     deeper = functional.interpolate(
         changes.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
@@ -176,18 +131,12 @@ def _adjust(
 
 def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 4"]:
     """cam_from_first of the two views of a pair, from where descriptors and depth put it."""
-    a, b = matched_points(pair, views)
-    b_from_a = register_pair(
-        a.points, a.rays, a.matched, a.trust, b.points, b.rays, b.matched, b.trust
-    )
+    b_from_a = register_pair(*matched_cells(pair, views))
     return torch.stack([torch.eye(4).to(b_from_a).expand_as(b_from_a), b_from_a], dim=1)
 
 
 def _chain_pairs(
-    pairs: list[PairMatches],
-    views: PhotoViews,
-    depth_is_free: Float[Tensor, "batch view"],
-    noise: BundleNoise,
+    pairs: list[PairMatches], views: PhotoViews, settings: SolveSettings
 ) -> Float[Tensor, "batch view 4 4"]:
     """cam_from_first of every view: all pairs solved alone, the best-supported ones composed."""
     batch, count = views.depths.shape[:2]
@@ -195,15 +144,12 @@ def _chain_pairs(
     alone = PhotoViews(
         views.images[scenes, both], views.depths[scenes, both], views.intrinsics[scenes, both]
     )
-    free = depth_is_free[scenes, both]
+    settings = SolveSettings(settings.depth_is_free[scenes, both], noise=settings.noise)
     few = thinned([pair], alone)
-    solved = unsolved(alone, _register(pair, alone))
-    solved = _adjust(few, alone, solved, depth_is_free=free, focal_is_free=False, noise=noise)
+    solved = _adjust(few, alone, unsolved(alone, _register(pair, alone)), settings)
     for _ in range(ROUNDS_ALONE):
-        solved = improve_views(
-            few, alone, solved, depth_is_free=free, focal_is_free=False, noise=noise
-        )
-    support = _support(few, alone, solved, noise).view(-1, batch)
+        solved = improve_views(few, alone, solved, settings)
+    support = _support(few, alone, solved, settings.noise).view(-1, batch)
     b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
     found = []
     for scene in range(batch):

@@ -9,6 +9,7 @@ from torch import Tensor
 from instok3d.backbones.nano.alignment import PhotoGeometry, sample_depth
 from instok3d.backbones.nano.bundle import Sightings
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
+from instok3d.geometry.registration import MatchedPoints
 
 
 @dataclass(frozen=True)
@@ -71,22 +72,14 @@ class PhotoViews:
 
 
 @dataclass(frozen=True)
-class MatchedPoints:
-    """Cells of one view in space, and where another view sees them: one direction of a pair."""
+class MatchedCells(MatchedPoints):
+    """Cells of one view, put into space by its depth, and where another view sees them."""
 
-    points: Float[Tensor, "batch cell 3"]
-    """Where the depth puts each cell, in its own camera's frame."""
-    rays: Float[Tensor, "batch cell 2"]
-    """x/z, y/z of its match in the other camera's frame."""
-    precision: Float[Tensor, "batch cell 2 2"]
+    precision: Float[Tensor, "batch point 2 2"]
     """Inverse covariance of the rays."""
-    matched: Float[Tensor, "batch cell 3"]
-    """Where the other view's depth puts the match, in the other camera's frame."""
-    trust: Float[Tensor, "batch cell"]
-    """Probability of the match."""
 
 
-def matched_points(pair: PairMatches, views: PhotoViews) -> tuple[MatchedPoints, MatchedPoints]:
+def matched_cells(pair: PairMatches, views: PhotoViews) -> tuple[MatchedCells, MatchedCells]:
     """The cells of a as b sees them, and the cells of b as a sees them."""
     scenes = torch.arange(len(views.depths), device=views.depths.device)
     found = []
@@ -99,7 +92,7 @@ def matched_points(pair: PairMatches, views: PhotoViews) -> tuple[MatchedPoints,
         by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
         rays = matched[..., :2] / matched[..., 2:]
         found.append(
-            MatchedPoints(points, rays, matches.precision * by_focal, matched, matches.trust)
+            MatchedCells(points, rays, matched, matches.trust, matches.precision * by_focal)
         )
     return found[0], found[1]
 
@@ -132,7 +125,7 @@ def pair_sightings(pairs: list[PairMatches], views: PhotoViews) -> Sightings:
     scenes = torch.arange(len(views.depths), device=size.device)
     parts = []
     for pair in pairs:
-        for (here, there, matches), way in zip(pair.ways, matched_points(pair, views), strict=True):
+        for (here, there, matches), way in zip(pair.ways, matched_cells(pair, views), strict=True):
             places = (matches.centers / size).expand(len(scenes), -1, -1)
             points = (way.points, way.rays, way.precision, way.matched[..., 2], way.trust)
             parts.append((scenes, here, there, *points, places, matches.pixels / size))

@@ -15,10 +15,10 @@ from torch.nn import functional
 from instok3d.backbones.nano.layers import SelfAttentionBlock, convolve
 from instok3d.backbones.nano.matching import MATCH_STRIDE
 from instok3d.backbones.nano.pair_matches import (
-    MatchedPoints,
+    MatchedCells,
     PairMatches,
     PhotoViews,
-    matched_points,
+    matched_cells,
 )
 from instok3d.geometry.cameras import invert_rigid
 
@@ -61,7 +61,7 @@ def gather_evidence(
     residuals, weights, trust, misses, matched = views.depths.new_zeros(5, batch, count, cells)
     cameras = cam_from_first.to(views.depths)
     for pair in pairs:
-        for (here, there, _), way in zip(pair.ways, matched_points(pair, views), strict=True):
+        for (here, there, _), way in zip(pair.ways, matched_cells(pair, views), strict=True):
             there_from_here = cameras[scenes, there] @ invert_rigid(cameras[scenes, here])
             residual, weight, miss = measure_parallax(way, there_from_here)
             residuals[scenes, here] += residual * weight
@@ -74,7 +74,7 @@ def gather_evidence(
 
 
 def measure_parallax(
-    way: MatchedPoints, other_from_here: Float[Tensor, "batch 4 4"]
+    way: MatchedCells, other_from_here: Float[Tensor, "batch 4 4"]
 ) -> tuple[Float[Tensor, "batch cell"], Float[Tensor, "batch cell"], Float[Tensor, "batch cell"]]:
     """(residual, weight, miss) of each cell by its match in one other view.
 

@@ -82,9 +82,7 @@ class GeometryStage:
                 raw = model.encode(photos)
                 with torch.autocast(context.images.device.type, enabled=False):
                     intrinsics, matches = model.intrinsics(photos, raw), model.find_matches(raw)
-            refined = model.refine(
-                raw, photos.images, intrinsics, matches, focal_is_free=photos.intrinsics is None
-            )
+            refined = model.refine(raw, photos, intrinsics, matches)
             return depth_loss(refined.log_depths, refined.log_confidences, context.depths)
         raw = model.encode(photos)
         with torch.autocast(context.images.device.type, enabled=False):
