@@ -1,11 +1,17 @@
 import json
+import shutil
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors import safe_open
 
-from instok3d.files import part_folder, replacing, replacing_folder, write_json, write_safetensors
+from instok3d import files, renames
+from instok3d.files import replacing, replacing_folder, write_json, write_safetensors
+from instok3d.locking import bring_back
+from kill_points import every_kill
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path):
@@ -74,34 +80,131 @@ def test_a_folder_takes_the_place_of_the_old_one_or_leaves_it(tmp_path: Path):
     assert list(tmp_path.iterdir()) == [target]
 
 
-@pytest.mark.parametrize("named", [True, False])
+def only_two_renames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a system that cannot exchange two names."""
+    monkeypatch.setattr(renames, "_renameat2", lambda: None)
+
+
+@pytest.mark.parametrize("exchanging", [True, False])
 def test_nothing_is_lost_if_the_last_rename_fails(
-    tmp_path: Path, named: bool, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, exchanging: bool, monkeypatch: pytest.MonkeyPatch
 ):
     target = tmp_path / "scene"
     filled(target, "old")
     rename = Path.rename
 
-    def fail(path: Path, to: Path) -> Path:
-        if path.name.endswith(".part"):
-            raise OSError("no")
-        return rename(path, to)
+    def fail(*_: object) -> bool:
+        raise OSError("no")
 
-    monkeypatch.setattr(Path, "rename", fail)
-    with (
-        pytest.raises(OSError, match="no"),
-        replacing_folder(target, part=part_folder(target) if named else None) as part,
-    ):
+    def fail_to_come(path: Path, to: Path) -> Path:
+        return fail() if path.parent.name == "new" else rename(path, to)
+
+    if exchanging:
+        monkeypatch.setattr(files, "exchange", fail)
+    else:
+        only_two_renames(monkeypatch)
+        monkeypatch.setattr(Path, "rename", fail_to_come)
+    with pytest.raises(OSError, match="no"), replacing_folder(target) as part:
         filled(part, "new")
     assert (target / "a.txt").read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_what_a_killed_process_left_is_cleared_and_its_old_folder_comes_back(tmp_path: Path):
+def fill(folder: Path, exchanging: bool = True, text: str = "new") -> None:
+    """A run of some program that writes folder/scene, which has a file in a folder too."""
+    if not exchanging:
+        renames._renameat2 = lambda: None
+    with replacing_folder(folder / "scene") as part:
+        filled(part, text)
+        filled(part / "deep", text)
+
+
+def write(folder: Path) -> None:
+    with replacing(folder / "a.txt") as part:
+        part.write_text("new")
+
+
+@pytest.mark.parametrize(("exchanging", "before"), [(True, "old"), (False, "old"), (True, None)])
+def test_killed_at_any_operation_it_leaves_the_old_or_the_new_folder(
+    tmp_path: Path, exchanging: bool, before: str | None
+):
+    def prepare() -> Path:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        if before:
+            filled(folder / "scene", before)
+        return folder
+
+    seen = set()
+    for folder in every_kill(prepare, partial(fill, exchanging=exchanging)):
+        bring_back(folder / "scene")  # what a reader does
+        found = folder / "scene" / "a.txt"
+        seen.add(found.read_text() if found.exists() else None)
+        fill(folder, text="again")
+        assert (folder / "scene" / "a.txt").read_text() == "again"
+        assert [path.name for path in folder.iterdir()] == ["scene"]
+    assert seen == {before, "new"}
+
+
+def test_killed_at_any_operation_a_file_is_the_old_or_the_new_one(tmp_path: Path):
+    def prepare() -> Path:
+        (tmp_path / "a.txt").write_text("old")
+        return tmp_path
+
+    seen = set()
+    for folder in every_kill(prepare, write):
+        seen.add((folder / "a.txt").read_text())
+        write(folder)
+        assert [path.name for path in folder.iterdir()] == ["a.txt"]
+    assert seen == {"old", "new"}
+
+
+@pytest.mark.parametrize("exchanging", [True, False])
+def test_of_two_writers_of_a_new_name_the_second_is_refused(
+    tmp_path: Path, exchanging: bool, monkeypatch: pytest.MonkeyPatch
+):
+    if not exchanging:
+        only_two_renames(monkeypatch)
+
+    def write_both(writer: Callable, target: Path) -> None:
+        with writer(target, overwrite=False) as second:
+            with writer(target, overwrite=False) as first:
+                put(first, "first")
+            put(second, "second")
+
+    def put(path: Path, text: str) -> None:
+        filled(path, text) if path.name == "scene" else path.write_text(text)
+
+    for name, writer in (("scene", replacing_folder), ("a.txt", replacing)):
+        with pytest.raises(FileExistsError, match=f"{name} has come to be there meanwhile"):
+            write_both(writer, tmp_path / name)
+    assert (tmp_path / "scene" / "a.txt").read_text() == "first"
+    assert (tmp_path / "a.txt").read_text() == "first"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "scene"]
+
+
+def test_a_second_ctrl_c_leaves_nothing_behind_either(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     target = tmp_path / "scene"
-    filled(part_folder(target), "half")
-    filled(part_folder(target).with_suffix(".old"), "old")  # killed between the two renames
-    with replacing_folder(target, part=part_folder(target)) as part:
-        assert list(part.iterdir()) == []
-        assert (target / "a.txt").read_text() == "old"
+    filled(target, "old")
+    remove, struck = shutil.rmtree, []
+
+    def interrupted(path: Path, **options: bool) -> None:
+        struck.append(path)
+        if len(struck) == 1:
+            raise KeyboardInterrupt
+        remove(path, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt), replacing_folder(target) as part:
+        filled(part, "new")
+    assert (target / "a.txt").read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_name_as_long_as_names_can_be_is_written(tmp_path: Path):
+    target = tmp_path / ("x" * 251 + ".txt")
+    with replacing(target) as part:
+        part.write_text("text")
     assert list(tmp_path.iterdir()) == [target]

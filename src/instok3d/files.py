@@ -2,88 +2,86 @@
 
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from instok3d.locking import set_aside, workplace
+from instok3d.renames import exchange, rename_to_free
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends without error.
+def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """A temporary path of the same name that takes the place of `path` when the block has ended.
 
     The data is on the disk before the name changes (fsync, then rename). After an error, and
-    after Ctrl-C, the temporary file is gone and `path` is as it was.
+    after Ctrl-C, the temporary file is gone and `path` is as it was. Of a process that is killed
+    a hidden folder stays, which the next one that writes `path` removes.
+
+    Args:
+        path: The file to be. Its folder must be there.
+        overwrite: Replace a file that is there by the end of the block.
+
+    Raises:
+        FileExistsError: A file is there, and overwrite is off.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    part = Path(name)
-    try:
+    with workplace(path) as place:
+        part = _new(place) / path.name
         yield part
-        with part.open("rb") as stream:
-            os.fsync(stream.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        part.chmod(0o666 & ~umask)  # mkstemp makes private files
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+        _sync(part)
+        if overwrite:
+            part.replace(path)
+        else:
+            rename_to_free(part, path)
 
 
 @contextmanager
-def replacing_folder(path: Path, *, part: Path | None = None) -> Iterator[Path]:
-    """A temporary folder beside `path` that takes its place when the block ends without error.
+def replacing_folder(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """A temporary folder that takes the place of `path` when the block has ended without error.
 
-    Everything is on the disk before the name changes. A folder that is already at `path` stays
-    until the new one is complete, and comes back if the last step fails. After an error, and
-    after Ctrl-C, the temporary folder is gone and `path` is as it was.
+    Everything is on the disk before the name changes. Where the file system can, old and new
+    exchange their names in one step; where it cannot, and the process dies between two renames,
+    the old folder comes back when the next one writes `path` or calls `bring_back`. After an
+    error, and after Ctrl-C, the temporary folder is gone and `path` is as it was.
 
     Args:
         path: The folder to be.
-        part: The temporary folder, for callers of whom one at a time writes: what a killed
-            process left is then cleared away. None = a hidden one with a name of its own.
+        overwrite: Replace a folder that is there by the end of the block.
+
+    Raises:
+        FileExistsError: Something is there, and overwrite is off.
     """
-    if part is None:
-        part = Path(tempfile.mkdtemp(prefix=".instok3d-", suffix=".part", dir=path.parent))
-        old = part.with_suffix(".old")
-    else:
-        old = part.with_suffix(".old")
-        if old.exists() and not path.exists():  # killed between the two renames
-            old.rename(path)
-        shutil.rmtree(old, ignore_errors=True)
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
-    try:
+    with _naming_full_disk(path), workplace(path) as place:
+        part = _new(place) / path.name
+        part.mkdir()
         yield part
-        umask = os.umask(0)
-        os.umask(umask)
-        part.chmod(0o777 & ~umask)  # mkdtemp makes private folders
         for item in [*part.rglob("*"), part]:
             _sync(item)
-        if path.exists():
-            path.rename(old)
-        part.rename(path)
+        if not (overwrite and os.path.lexists(path)):
+            rename_to_free(part, path)
+        elif not exchange(part, path):
+            set_aside(path, place)
+            part.rename(path)
         _sync(path.parent)
-    except BaseException as error:
-        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+
+
+@contextmanager
+def _naming_full_disk(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno is not None and error.filename is None:
             error.filename = str(path)  # a full disk is reported without the name of the file
-        if old.exists() and not path.exists():
-            old.rename(path)
         raise
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        if old.exists() and path.exists():
-            shutil.rmtree(old)
 
 
-def part_folder(path: Path) -> Path:
-    """The hidden folder beside `path` in which it may grow, the same for every process."""
-    return path.with_name(f".{path.name}.part")
+def _new(place: Path) -> Path:
+    (place / "new").mkdir()
+    return place / "new"
 
 
 def _sync(path: Path) -> None:

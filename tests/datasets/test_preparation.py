@@ -146,7 +146,9 @@ def test_a_killed_run_takes_its_workers_along_and_can_be_finished(tmp_path: Path
     process = started_program(tmp_path)
     process.kill()
     process.communicate(timeout=100)  # ends when no process holds its stderr any more
-    assert {fault.path for fault in verify(out)} <= {".b.part", ".c.part"}
+    left = [fault.path for fault in verify(out)]
+    assert len(left) <= 2
+    assert all(path.startswith(".instok3d-") and path.endswith(".part") for path in left)
     run([job("a"), job("b"), job("c")], out)
     assert list(verify(out)) == []
 

@@ -19,6 +19,7 @@ from instok3d.datasets.prepared import (
     write_scene,
 )
 from instok3d.datasets.prepared.format import sha256_of
+from kill_points import die_in
 from prepared_scenes import made_folder, made_frame
 
 INFO = SceneInfo("scene0000_00", "scannet", "train", "metre", {"size": [6, 8]})
@@ -122,9 +123,9 @@ def test_an_interrupted_scene_leaves_nothing(tmp_path: Path):
 
 
 def test_what_a_killed_run_left_is_replaced(tmp_path: Path):
-    (tmp_path / ".scene0000_00.part" / "images").mkdir(parents=True)
-    (tmp_path / ".scene0000_00.part" / "images" / "000007.png").write_bytes(b"torn")
-    assert faults(tmp_path)[".scene0000_00.part"].startswith("was left by a run")
+    die_in(tmp_path / INFO.name)
+    (left,) = tmp_path.iterdir()
+    assert faults(tmp_path)[left.name].startswith("was left by a run")
     write_scene(tmp_path, INFO, [made_frame(0)])
     refresh_index(tmp_path)
     assert faults(tmp_path) == {}

@@ -12,6 +12,7 @@ import instok3d
 from instok3d.scene import files
 from instok3d.scene.previews import save_with_previews
 from instok3d.scene.scene import Scene
+from kill_points import every_kill
 from made_scene import made_empty_scene, made_scene, made_tokens
 
 
@@ -149,17 +150,54 @@ def test_the_old_scene_comes_back_when_the_last_step_fails(
     path = tmp_path / "room.itk"
     empty_scene.save(path)
     before = contents(tmp_path)
-    rename = Path.rename
 
-    def failing(self: Path, target: Path) -> Path:
-        if self.suffix == ".part":
-            raise OSError(errno.EIO, "I/O error")
-        return rename(self, target)
+    def failing(*paths: Path) -> bool:
+        raise OSError(errno.EIO, "I/O error")
 
-    monkeypatch.setattr(Path, "rename", failing)
+    monkeypatch.setattr("instok3d.files.exchange", failing)
     with pytest.raises(OSError, match="I/O error"):
         scene.save(path, overwrite=True)
     assert contents(tmp_path) == before
+
+
+def test_killed_at_any_operation_it_leaves_the_old_or_the_new_scene(
+    tmp_path: Path, scene: Scene, empty_scene: Scene
+):
+    def prepare() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        shutil.copytree(tmp_path / "before", tmp_path / "work")
+        return tmp_path / "work"
+
+    def replace_scene(folder: Path) -> None:
+        torch.set_num_threads(1)  # a fork cannot use the threads of its parent
+        scene.save(folder / "room.itk", overwrite=True)
+
+    (tmp_path / "before").mkdir()
+    empty_scene.save(tmp_path / "before" / "room.itk")
+    found = set()
+    for folder in every_kill(prepare, replace_scene, step=11):
+        found.add(len(instok3d.load(folder / "room.itk").objects))
+    assert found == {0, 2}
+    for _ in range(2):  # whoever comes next, and is refused
+        with pytest.raises(FileExistsError, match="pass --overwrite"):
+            scene.save(folder / "room.itk")
+    empty_scene.save(folder / "room.itk", overwrite=True)
+    assert [path.name for path in folder.iterdir()] == ["room.itk"]
+
+
+def test_of_two_who_write_one_scene_the_second_is_refused_at_its_end(
+    tmp_path: Path, scene: Scene, empty_scene: Scene
+):
+    path = tmp_path / "room.itk"
+
+    def another_run(stage: str) -> None:
+        if stage == "save":
+            scene.save(path)
+
+    with pytest.raises(FileExistsError, match=r"room\.itk has come to be there meanwhile"):
+        files.save_scene(empty_scene, path, progress=another_run)
+    assert_same(instok3d.load(path), scene)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def damage_json(name: str, change: Callable[[dict | list], None]) -> Callable[[Path], None]:

@@ -32,7 +32,7 @@ from instok3d.datasets.prepared import (
     write_scene,
 )
 from instok3d.datasets.prepared.format import RECORD
-from instok3d.locking import alone_in
+from instok3d.locking import alone_in, remove_leftovers
 
 LOCK = ".lock"
 """Held by the run that prepares scenes into a folder."""
@@ -180,7 +180,11 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
     # Two runs would write into each other's unfinished scenes.
     refusal = f"another run is preparing scenes into {plan.folder}; wait for its end, or choose "
     with alone_in(plan.folder / LOCK, refusal + "another folder"):
-        return _prepare(plan, workers, progress)
+        remove_leftovers(plan.folder)
+        try:
+            return _prepare(plan, workers, progress)
+        finally:
+            remove_leftovers(plan.folder)  # of workers that were killed
 
 
 def _prepare(plan: PreparationPlan, workers: int, progress: bool) -> PreparationReport:
@@ -272,7 +276,9 @@ _stop: list[Event] = []
 
 
 def _begin_worker(stop: Event) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the main process alone
+    for name in ("SIGINT", "SIGHUP"):  # Ctrl-C and a closed terminal are for the main process alone
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     _stop.append(stop)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from instok3d.files import replacing_folder, write_safetensors
 from instok3d.geometry.cameras import invert_rigid
+from instok3d.locking import bring_back
 from instok3d.model.files import file_sha256
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
@@ -60,7 +61,7 @@ def save_record(
         PermissionError: That folder may not be written to.
     """
     check_target(path, overwrite=overwrite)
-    with replacing_folder(path) as part:
+    with replacing_folder(path, overwrite=overwrite) as part:
         if more is not None:
             more(part)
         (part / "inputs").mkdir()
@@ -87,7 +88,8 @@ def check_target(path: Path, *, overwrite: bool) -> None:
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.resolve().parent}")
     if not os.access(path.resolve().parent, os.W_OK):
         raise PermissionError(f"cannot write {path}: {path.resolve().parent} may not be written to")
-    if not (path.exists() or path.is_symlink()):
+    bring_back(path)
+    if not os.path.lexists(path):
         return
     if not overwrite:
         raise FileExistsError(f"{path} is already there; pass --overwrite to replace it")
@@ -105,6 +107,7 @@ def load_record(path: Path) -> SceneRecord:
         ValueError: It is of a newer version, damaged, or inconsistent; the sentence names the
             file and what is wrong with it.
     """
+    bring_back(path)
     if not path.is_dir():
         raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
     if not (path / "scene.json").is_file():

@@ -135,12 +135,6 @@ def has_checkpoint(folder: Path) -> bool:
     return any((folder / "checkpoints").glob("step_*.pt"))
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove what a killed process had begun to write; no other may be writing."""
-    for path in (folder / "checkpoints").glob(".step_*"):
-        path.unlink()
-
-
 def read_checkpoint(folder: Path) -> dict[str, Any]:
     """The newest checkpoint of a run that is whole; a torn one is passed over with a warning.
 

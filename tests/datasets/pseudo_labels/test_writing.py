@@ -174,7 +174,9 @@ def test_two_runs_do_not_make_the_same_masks(prepared):
         with pytest.raises(ValueError, match=r"another run is making .*masks_sam2; wait") as error:
             label(clip, truth_of(scene), CONFIG)
         heard.append(error)
-        assert [fault.path for fault in verify_scene(scene)] == ["a/.masks_sam2.part"]
+        (fault,) = verify_scene(scene)
+        assert fault.path.startswith("a/.instok3d-")
+        assert fault.path.endswith(".part")
 
     label(clip, truth_of(scene), CONFIG, progress=second_run)
     assert len(heard) == 5

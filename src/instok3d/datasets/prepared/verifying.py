@@ -9,6 +9,7 @@ from instok3d.datasets.prepared.index import INDEX, read_index, scene_folders
 from instok3d.datasets.prepared.masks import MASKS_RECORD, read_masks_record
 
 UNFINISHED = (".part", ".old")
+"""The second is of earlier versions."""
 LEFT = "was left by a run that was stopped, or is of one at work; delete it if none is"
 
 

@@ -19,7 +19,7 @@ from instok3d.datasets.prepared.format import (
     read_scene,
     sha256_of,
 )
-from instok3d.files import part_folder, replacing_folder, write_json
+from instok3d.files import replacing_folder, write_json
 
 
 def write_scene(
@@ -43,7 +43,8 @@ def write_scene(
     target = folder / info.name
     if target.exists():
         raise FileExistsError(f"{target} is already there; delete it to prepare the scene again")
-    with replacing_folder(target, part=part_folder(target)) as part:
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing_folder(target, overwrite=False) as part:
         rows: list[dict[str, Any]] = []
         files: dict[str, list[int | str]] = {}
         dropped: Counter[str] = Counter()

@@ -21,7 +21,7 @@ from instok3d.datasets.pseudo_labels.statistics import (
     StatisticsConfig,
     StatisticsOfClip,
 )
-from instok3d.files import part_folder, replacing_folder, write_json
+from instok3d.files import replacing_folder, write_json
 from instok3d.locking import alone_in
 
 
@@ -136,7 +136,7 @@ def _label(
     statistics = StatisticsOfClip(config.statistics)
     files: dict[str, list[int | str]] = {}
     sizes: list[tuple[int, int]] = []
-    with replacing_folder(clip.target, part=part_folder(clip.target)) as part:
+    with replacing_folder(clip.target, overwrite=overwrite) as part:
         images = _images(clip, config.max_side, sizes)
         maps = label_clip(images, model, model, config.association)
         for number, (name, id_map) in enumerate(zip(clip.names, maps, strict=True)):
