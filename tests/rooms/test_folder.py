@@ -25,6 +25,7 @@ from instok3d.rooms.shards import (
     shard_name,
     write_shard,
 )
+from kill_points import die_in
 
 make_rooms = partial(generate_rooms, resolution=16, workers=1, progress=False)
 
@@ -211,6 +212,23 @@ def test_rejected_seeds_are_counted_and_not_tried_again(tmp_path, monkeypatch, c
     ] == {"seeds": [], "rejected": [6], "levels": []}
     assert make_rooms(tmp_path, range(5, 8)) == GenerationReport(0, 0, 3)
     assert len(RoomDataset(tmp_path)) == 2
+
+
+def test_two_runs_do_not_write_into_one_folder(tmp_path, monkeypatch):
+    def another_run(seed: int, *rest) -> None:
+        with pytest.raises(ValueError, match="another run is writing rooms to"):
+            make_rooms(tmp_path, range(16, 32))
+
+    monkeypatch.setattr(generate, "render_scene", another_run)
+    assert make_rooms(tmp_path, range(16)).rejected == 16
+    assert sorted(contents(tmp_path)) == ["rooms-0000000.safetensors", "rooms.json"]
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path, monkeypatch):
+    die_in(tmp_path / shard_name(7))
+    monkeypatch.setattr(generate, "render_scene", lambda seed, *rest: None)
+    make_rooms(tmp_path, range(16))
+    assert sorted(contents(tmp_path)) == ["rooms-0000000.safetensors", "rooms.json"]
 
 
 def test_whole_shards_are_made_of_what_the_seeds_touch(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.loop import train
 from instok3d.training.run_log import read_metrics
 from instok3d.training.update import NonFiniteLossError, parameter_groups
+from kill_points import die_in
 from toy_stage import TINY, ToyStage
 
 ROOMS = FakeRooms(5, size=16)
@@ -114,10 +115,21 @@ def test_new_run_in_the_folder_of_another_is_refused(tmp_path):
         train(TINY, ToyStage(), ROOMS, tmp_path / "other", resume=True)
 
 
+def test_two_processes_do_not_train_in_one_folder(tmp_path):
+    class WithAnother(ToyStage):
+        def loss(self, model, sample, step):
+            with pytest.raises(ValueError, match="another process is at work in the run"):
+                train(TINY, ToyStage(), ROOMS, tmp_path, resume=True)
+            return super().loss(model, sample, step)
+
+    train(replace(TINY, steps=1), WithAnother(), ROOMS, tmp_path)
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_run_killed_in_its_first_checkpoint_begins_anew(tmp_path):
     checkpoints = tmp_path / "checkpoints"
     checkpoints.mkdir()
-    (checkpoints / ".step_00000000.pt.x1.pt").write_bytes(b"half")
+    die_in(checkpoints / "step_00000000.pt")
     assert train(replace(TINY, steps=1), ToyStage(), ROOMS, tmp_path).reason == "finished"
     assert [path.name for path in checkpoints.iterdir()] == ["step_00000001.pt"]
 

@@ -14,6 +14,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from instok3d.files import write_json
+from instok3d.locking import alone_in, remove_leftovers
 from instok3d.rooms.denoising import Denoiser, find_denoiser
 from instok3d.rooms.levels import LEVELS
 from instok3d.rooms.scene import render_scene
@@ -33,6 +34,9 @@ from instok3d.rooms.tracing import check_embree
 log = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
+
+LOCK = ".lock"
+"""Held by the run that writes rooms to a folder."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +74,6 @@ def _make_shard(shard: int, folder: Path, resolution: int, level: str) -> tuple[
 
 def _opened_index(folder: Path, resolution: int, level: str) -> dict:
     """The folder's index, made if there is none; it must be of the same kind of rooms."""
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"cannot write rooms to {folder}: it is a file, not a folder")
-    folder.mkdir(parents=True, exist_ok=True)
     if not (folder / INDEX).exists():
         write_json(folder / INDEX, new_index(resolution, level))
     index = read_index(folder)
@@ -127,11 +128,28 @@ def generate_rooms(
     Raises:
         ModuleNotFoundError: The ray tracer is not installed.
         NotADirectoryError: The folder is a file.
-        ValueError: Bad seeds, level, resolution or workers, or the folder holds rooms of another
-            kind.
+        ValueError: Bad seeds, level, resolution or workers, the folder holds rooms of another
+            kind, or another run is writing to it.
     """
     _check(seeds, resolution, level, workers)
     check_embree()
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"cannot write rooms to {folder}: it is a file, not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    refusal = (
+        f"another run is writing rooms to {folder}; wait for its end, or choose another folder"
+    )
+    with alone_in(folder / LOCK, refusal):
+        remove_leftovers(folder)
+        try:
+            return _generate(folder, seeds, resolution, level, workers, progress)
+        finally:
+            remove_leftovers(folder)  # of workers that were ended while they wrote
+
+
+def _generate(
+    folder: Path, seeds: range, resolution: int, level: str, workers: int, progress: bool
+) -> GenerationReport:
     shards = range(seeds[0] // SHARD_SEEDS, seeds[-1] // SHARD_SEEDS + 1)
     done = _opened_index(folder, resolution, level)["shards"]
     names = {s: shard_name(s) for s in shards}
@@ -166,6 +184,13 @@ def _check(seeds: range, resolution: int, level: str, workers: int) -> None:
         split_of(seed)
 
 
+def _leave_signals_to_main_process() -> None:
+    """Ctrl-C and a closed terminal reach all; the main process then ends the others by SIGTERM."""
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
 @contextmanager
 def _results(
     make: Callable[[int], Result], shards: list[int], workers: int
@@ -175,9 +200,8 @@ def _results(
         yield map(make, shards)
         return
     with _one_thread_each():
-        # Ctrl-C is for this process alone: it ends the others, and they say nothing.
         pool = multiprocessing.get_context("spawn").Pool(
-            min(workers, len(shards)), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+            min(workers, len(shards)), _leave_signals_to_main_process
         )
     with pool:
         yield pool.imap_unordered(make, shards)

@@ -19,13 +19,13 @@ from instok3d.data.batches import SceneBatches
 from instok3d.data.sample import Sample
 from instok3d.data.scenes import SceneSource
 from instok3d.files import replacing
+from instok3d.locking import alone_in, remove_leftovers
 from instok3d.training.checkpoint import (
     RunState,
     current_commit,
     has_checkpoint,
     read_checkpoint,
     read_weights,
-    remove_leftovers,
     restore,
     restore_weights,
     save_checkpoint,
@@ -38,6 +38,9 @@ from instok3d.training.run_log import RunLog, RunningMeans
 from instok3d.training.schedule import learning_rate
 from instok3d.training.stages.stage import Stage
 from instok3d.training.update import new_state, train_step
+
+LOCK = ".lock"
+"""Held by the process that writes a run's folder."""
 
 End = Literal["finished", "time limit", "interrupted"]
 
@@ -94,17 +97,33 @@ def train(
         time_limit_min: Stop with a checkpoint after this many minutes of this call.
 
     Raises:
-        ValueError: The folder holds a run and resume is off, the data set is too small, or the
-            first weights do not fit.
+        ValueError: The folder holds a run and resume is off, another process is at work in it, the
+            data set is too small, or the first weights do not fit.
         FileNotFoundError: Nothing to resume.
         NonFiniteLossError: Training diverged.
     """
     if config.threads:
         torch.set_num_threads(config.threads)
-    with joined_processes(config.device) as processes:
+    with joined_processes(config.device) as processes, _alone(folder, processes):
         run = _prepared(config, stage, source, folder, processes, resume, add_scenes, init_from)
         with stop_requests() as requests:
             return _steps(run, requests, time_limit_min, resume=resume)
+
+
+@contextmanager
+def _alone(folder: Path, processes: Processes) -> Iterator[None]:
+    """Hold the run's folder in the first process, which alone writes."""
+    if not processes.is_first:
+        yield
+        return
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with alone_in(folder / LOCK, f"another process is at work in the run {folder}; wait"):
+            yield
+    finally:
+        if made and not any(folder.iterdir()):  # of a run that was refused nothing is left
+            folder.rmdir()
 
 
 def _prepared(
@@ -154,8 +173,8 @@ def _prepared(
     )
     validation = {}
     if processes.is_first:
-        folder.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(folder)
+        for place in (folder, folder / "checkpoints", folder / "pictures"):
+            remove_leftovers(place)
         write_config(folder, config, commit=current_commit())
         for views in config.validation_views:
             validation[views] = validation_samples(source, held_out, views)

@@ -17,6 +17,7 @@ from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometr
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.data.batches import BatchConfig, SceneBatches
 from instok3d.data.sample import Sample, collate, photos_only
+from instok3d.locking import alone_in
 from instok3d.model.files import load_model
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
@@ -283,6 +284,14 @@ def test_a_cache_grows_and_replaces_a_damaged_file(cache: Path, tmp_path: Path):
     assert torn.read_bytes() == scene_path(cache, "1").read_bytes()
     with pytest.raises(ValueError, match=r"begun with other settings .*seed: made with 0"):
         fill_cache(replace(CONFIG, seed=3), ROOMS, tmp_path, backbone_weights())
+
+
+def test_two_runs_do_not_fill_one_cache(tmp_path: Path):
+    with (
+        alone_in(tmp_path / ".lock", "wait"),
+        pytest.raises(ValueError, match="another run is writing features to"),
+    ):
+        fill_cache(CONFIG, FEW, tmp_path, backbone_weights())
 
 
 class OneShortRoom(FakeRooms):

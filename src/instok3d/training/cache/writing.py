@@ -17,10 +17,12 @@ from instok3d.data.batches import NoBaselineError, SceneBatches
 from instok3d.data.sample import Sample, collate, photos_only
 from instok3d.data.scenes import SceneSource
 from instok3d.files import write_json, write_safetensors
+from instok3d.locking import alone_in, remove_leftovers
 from instok3d.training.cache.features import (
     BACKBONE,
     FORMAT,
     INDEX,
+    SCENES,
     FeatureCache,
     read_index,
     scene_path,
@@ -41,6 +43,8 @@ from instok3d.types import Geometry, Views
 
 FeatureType = Literal["float16", "bfloat16"]
 LARGEST_HALF = torch.finfo(torch.float16).max
+LOCK = ".lock"
+"""Held by the run that writes features to a folder."""
 SPARE_BYTES = 64 * 2**20
 """Disk space that is left free."""
 
@@ -85,7 +89,7 @@ def fill_cache(
     Raises:
         ValueError: The settings have no fixed samples or are not those that the cache was begun
             with, the weights are not the backbone's, its answer to given cameras or depth cannot
-            be rebuilt, or a value does not fit the type.
+            be rebuilt, a value does not fit the type, or another run is writing to the folder.
         OSError: The disk has too little space for all scenes.
     """
     stage = cached_stage(config)
@@ -96,6 +100,23 @@ def fill_cache(
     except RuntimeError as error:
         raise ValueError(f"the weights do not fit the backbone of the run: {error}") from error
     backbone = backbone.to(config.device).eval()
+    scene_path(folder, "").parent.mkdir(parents=True, exist_ok=True)
+    refusal = f"another run is writing features to {folder}; wait for its end, or choose another"
+    with alone_in(folder / LOCK, f"{refusal} folder"):
+        for place in (folder, folder / SCENES):
+            remove_leftovers(place)
+        return _fill(config, source, folder, backbone, dtype, on_scene)
+
+
+def _fill(
+    config: TrainConfig,
+    source: SceneSource,
+    folder: Path,
+    backbone: GeometryBackbone,
+    dtype: FeatureType,
+    on_scene: Callable[[int, int], None] | None,
+) -> FilledCache:
+    stage = cached_stage(config)
     names = [source.name_of(number) for number in range(len(source))]
     held_out, training = split_scenes(source, names, config.holdout)
     settings = cache_settings(config, backbone, dtype)
@@ -119,7 +140,7 @@ def fill_cache(
                     tensors |= _entries(backbone, moved, shown, config, getattr(torch, dtype))
                 samples += len(sample.keys)
             _check_space(folder, tensors, len(names) - done)
-            _write_scene(scene_path(folder, name), tensors, metadata)
+            write_safetensors(scene_path(folder, name), tensors, metadata)
             made += 1
         if on_scene is not None:
             on_scene(done + 1, len(names))
@@ -140,7 +161,6 @@ def _begin(
             )
         known = (before["training"], before["held_out"])
         scenes = [list(dict.fromkeys(old + new)) for old, new in zip(known, scenes, strict=True)]
-    scene_path(folder, "").parent.mkdir(parents=True, exist_ok=True)
     if not (folder / BACKBONE).exists():
         write_safetensors(folder / BACKBONE, backbone.state_dict())
     training, held_out = scenes
@@ -260,9 +280,3 @@ def _check_space(folder: Path, tensors: Mapping[str, Tensor], scenes_left: int) 
             f"{scenes_left} more scenes take {needed / 1e9:.1f} GB, free are {free / 1e9:.1f} GB",
             str(folder),
         )
-
-
-def _write_scene(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    for left in path.parent.glob(f".{path.name}.*"):
-        left.unlink()  # of a call that was killed while writing
-    write_safetensors(path, tensors, metadata)
