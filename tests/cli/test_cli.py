@@ -205,26 +205,53 @@ def test_options_that_cannot_be_are_bad_input(
         assert message in capsys.readouterr().err
 
 
-def test_ctrl_c_stops_with_its_code_and_leaves_nothing(tmp_path: Path, model: str):
+@pytest.mark.parametrize(
+    ("name", "stage", "code"),
+    [("SIGINT", "photos", 130), ("SIGTERM", "previews", 143), ("SIGHUP", "previews", 129)],
+)
+def test_a_signal_stops_with_its_code_and_leaves_nothing(
+    tmp_path: Path, model: str, name: str, stage: str, code: int
+):
+    number = getattr(signal, name)
     photos = str(made_photos(tmp_path / "photos"))
     words = ["reconstruct", photos, "-o", str(tmp_path / "a.itk"), "--model", model]
 
     def listen() -> None:
         # A shell starts its background jobs, and CI perhaps all of this, with Ctrl-C ignored.
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(number, signal.SIG_DFL)
 
     with subprocess.Popen([sys.executable, "-m", "instok3d", *words], stderr=subprocess.PIPE,
                           text=True, preexec_fn=listen) as process:  # fmt: skip
         assert process.stderr is not None
         for line in process.stderr:
-            if line.startswith("photos"):
-                process.send_signal(signal.SIGINT)
+            if line.startswith(stage):
+                process.send_signal(number)
                 break
         rest = process.stderr.read()
-    assert process.returncode == 130
-    assert "instok3d: interrupted" in rest
+    assert process.returncode == code
+    assert f"instok3d: {'interrupted' if code == 130 else f'ended by {name}'}" in rest
     assert "Traceback" not in rest
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_only_the_first_signal_is_heard_and_an_ignored_one_never():
+    code = (
+        "import os, signal, sys, instok3d.cli as cli\n"
+        "def work(words):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGHUP)\n"  # as under nohup
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    finally:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        print('cleared away')\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "cli._dispatch = work\n"
+        "sys.exit(cli.main([]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 143
+    assert done.stdout == "cleared away\n"
+    assert done.stderr == "\ninstok3d: ended by SIGTERM; nothing half-written was left\n"
 
 
 def test_ctrl_c_within_an_exec_ends_with_the_exit_code():

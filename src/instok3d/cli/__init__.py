@@ -2,14 +2,17 @@
 
 import errno
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 
 import tyro
 
 from instok3d import __version__
+from instok3d.cli.signals import EndedBySignal, orderly_end
 from instok3d.errors import MissingWeightsError
 
 COMMANDS = {
@@ -37,20 +40,26 @@ OK, BAD_INPUT, RESOURCES, MISSING_WEIGHTS, INTERRUPTED = 0, 2, 3, 4, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the result is the exit code.
 
-    0 done, 2 bad input, 3 out of memory or disk, 4 no weights, 130 interrupted. Errors are one
-    line on stderr; `--debug` shows where they came from.
+    0 done, 2 bad input, 3 out of memory or disk, 4 no weights, 130 interrupted, 143 and 129 ended
+    by SIGTERM and SIGHUP. Errors are one line on stderr; `--debug` shows where they came from.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        code = _dispatch(words)
+        with orderly_end():
+            code = _dispatch(words)
         sys.stdout.flush()
         return code
     except BrokenPipeError:
         # The reader of stdout is gone (`| head`): not an error, but nothing more may be flushed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
+    except EndedBySignal as end:
+        with suppress(OSError):  # where the terminal is gone
+            name = signal.Signals(end.number).name
+            print(f"\ninstok3d: ended by {name}; nothing half-written was left", file=sys.stderr)
+        return end.exit_code
     except KeyboardInterrupt:
         print("\ninstok3d: interrupted; nothing half-written was left", file=sys.stderr)
         # Where it passed through an exec, as in imports, Python would end by the signal instead of
