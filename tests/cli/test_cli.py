@@ -15,6 +15,7 @@ import instok3d
 from instok3d.cli import COMMANDS, exit_code, main
 from instok3d.model.files import DEFAULT_MODEL
 from instok3d.scene.ply import read_ply
+from instok3d.scene.scene import Scene
 from made_model import made_model, made_photos
 from made_scene import made_scene, made_tokens
 
@@ -357,6 +358,28 @@ def test_export_writes_a_ply_of_all_or_one(room: str, tmp_path: Path):
     torch.testing.assert_close(read_ply(one).means, scene.part(3).means)
     assert main(["export", room, "-o", str(one)]) == 2
     assert main(["export", room, "-o", str(tmp_path / "room.obj")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "name"), [(["export"], "a.ply"), (["render"], "a.png"), (["render"], "folder")]
+)
+def test_what_another_run_has_written_meanwhile_is_kept(
+    room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], name: str,
+    capsys: pytest.CaptureFixture[str],
+):  # fmt: skip
+    output = tmp_path / name
+    load = Scene.load
+
+    def while_another_writes(path: Path) -> Scene:
+        file = output if output.suffix else output / "001.png"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("mine")
+        return load(path)
+
+    monkeypatch.setattr(Scene, "load", while_another_writes)
+    assert main([*words, room, "-o", str(output)]) == 2
+    assert "has come to be there meanwhile" in capsys.readouterr().err
+    assert (output if output.suffix else output / "001.png").read_text() == "mine"
 
 
 def test_doctor_reports(capsys: pytest.CaptureFixture[str]):

@@ -44,6 +44,6 @@ def run(
         ids = ids[start : start + count]
     write_ply(
         output, loaded.gaussians, sh_degree=sh, object_ids=ids if with_ids else None,
-        comments=scene_comments(loaded),
+        comments=scene_comments(loaded), overwrite=overwrite,
     )  # fmt: skip
     print(f"{len(loaded.gaussians.means)} Gaussians written to {output}")

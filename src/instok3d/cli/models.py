@@ -92,7 +92,7 @@ def convert(
     from instok3d.weights.conversion import convert_checkpoint
 
     check_file(output, overwrite=overwrite, endings=(".safetensors",))
-    done = convert_checkpoint(checkpoint, output, level=level)
+    done = convert_checkpoint(checkpoint, output, level=level, overwrite=overwrite)
     if done.left_out:
         _say(f"left out, for they are no tensors: {', '.join(done.left_out[:10])}")
     if json:

@@ -59,11 +59,11 @@ def run(
     drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
     shots = take_shots(loaded, way, drawn, ids=ids)
     if output.suffix in FILMS:
-        count = write_film(shots, output, fps)
+        count = write_film(shots, output, fps, overwrite=overwrite)
     elif output.suffix in PICTURES:
-        count = write_strip(shots, output)
+        count = write_strip(shots, output, overwrite=overwrite)
     else:
-        count = write_pictures(shots, output)
+        count = write_pictures(shots, output, overwrite=overwrite)
     print(f"{count} pictures written to {output}")
 
 
@@ -96,7 +96,7 @@ def take_shots(
             yield Shot(picture, seen.ids[0].numpy(), id_picture(seen.ids[0]))
 
 
-def write_pictures(shots: Iterator[Shot], folder: Path) -> int:
+def write_pictures(shots: Iterator[Shot], folder: Path, *, overwrite: bool) -> int:
     """NNN.png for each shot, and NNN_ids.png (16 bits, 0: no object) where there are ids."""
     import numpy as np
     from PIL import Image
@@ -106,15 +106,15 @@ def write_pictures(shots: Iterator[Shot], folder: Path) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     count = 0
     for count, shot in enumerate(shots, 1):
-        with replacing(folder / f"{count - 1:03d}.png") as part:
+        with replacing(folder / f"{count - 1:03d}.png", overwrite=overwrite) as part:
             Image.fromarray(shot.picture).save(part)
         if shot.ids is not None:
-            with replacing(folder / f"{count - 1:03d}_ids.png") as part:
+            with replacing(folder / f"{count - 1:03d}_ids.png", overwrite=overwrite) as part:
                 Image.fromarray(shot.ids.astype(np.uint16)).save(part)
     return count
 
 
-def write_strip(shots: Iterator[Shot], file: Path) -> int:
+def write_strip(shots: Iterator[Shot], file: Path, *, overwrite: bool) -> int:
     """All shots side by side in one PNG, the coloured ids below where there are some."""
     import numpy as np
     from PIL import Image
@@ -125,12 +125,12 @@ def write_strip(shots: Iterator[Shot], file: Path) -> int:
         shot.picture if shot.colored_ids is None else np.vstack([shot.picture, shot.colored_ids])
         for shot in shots
     ]
-    with replacing(file) as part:
+    with replacing(file, overwrite=overwrite) as part:
         Image.fromarray(np.hstack(columns)).save(part)
     return len(columns)
 
 
-def write_film(shots: Iterator[Shot], file: Path, fps: int) -> int:
+def write_film(shots: Iterator[Shot], file: Path, fps: int, *, overwrite: bool) -> int:
     """An H.264 film of the shots, or of the coloured ids where there are some."""
     try:
         from imageio.v2 import get_writer
@@ -141,7 +141,10 @@ def write_film(shots: Iterator[Shot], file: Path, fps: int) -> int:
     from instok3d.files import replacing
 
     count = 0
-    with replacing(file) as part, get_writer(part, fps=fps, macro_block_size=2) as writer:
+    with (
+        replacing(file, overwrite=overwrite) as part,
+        get_writer(part, fps=fps, macro_block_size=2) as writer,
+    ):
         for shot in shots:
             writer.append_data(  # pyright: ignore[reportAttributeAccessIssue]
                 shot.picture if shot.colored_ids is None else shot.colored_ids

@@ -33,8 +33,9 @@ def write_ply(
     sh_degree: int = 3,
     object_ids: Int[Tensor, " gaussian"] | None = None,
     comments: tuple[str, ...] = (),
+    overwrite: bool = True,
 ) -> None:
-    """Write unbatched Gaussians in their order; replaces `path` atomically.
+    """Write unbatched Gaussians in their order, atomically.
 
     Log scales, logit opacities, quaternions wxyz, colour as f_dc and channel-major f_rest, in
     OpenCV axes as they are. Bands that the Gaussians lack are zeros: many readers know only
@@ -47,8 +48,10 @@ def write_ply(
         object_ids: Written as one more float column `object_id`; readers with a fixed layout
             refuse such files.
         comments: Lines for the header.
+        overwrite: Replace a file that is there.
 
     Raises:
+        FileExistsError: A file is there, and overwrite is off.
         ValueError: sh_degree is not in 0..3 or a comment holds a line break.
     """
     if sh_degree not in (0, 1, 2, 3):
@@ -62,7 +65,7 @@ def write_ply(
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
     header += [f"element vertex {count}", *(f"property float {name}" for name in columns)]
     rows = np.stack([np.asarray(column, "<f4") for column in columns.values()], axis=1)
-    with replacing(path) as part, part.open("wb") as stream:
+    with replacing(path, overwrite=overwrite) as part, part.open("wb") as stream:
         stream.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace"))
         stream.write(np.ascontiguousarray(rows).tobytes())
 

@@ -30,16 +30,20 @@ class Conversion:
     """What lay beside the tensors and is no tensor."""
 
 
-def convert_checkpoint(checkpoint: Path, output: Path, *, level: str | None = None) -> Conversion:
+def convert_checkpoint(
+    checkpoint: Path, output: Path, *, level: str | None = None, overwrite: bool = True
+) -> Conversion:
     """Write the tensors of a checkpoint as a safetensors file, atomically.
 
     Args:
         checkpoint: A file of torch.save, of any age.
-        output: The file to write; replaced if it is there.
+        output: The file to write.
         level: Keys under which the tensors lie, joined by dots, where there is more than one such
             place; empty for those at the top.
+        overwrite: Replace a file that is there.
 
     Raises:
+        FileExistsError: A file is there, and overwrite is off.
         FileNotFoundError: There is no such checkpoint.
         ValueError: It is none, it holds more than tensors and plain values, or it is not clear
             which of its tensors are meant.
@@ -47,7 +51,7 @@ def convert_checkpoint(checkpoint: Path, output: Path, *, level: str | None = No
     """
     if not checkpoint.is_file():
         raise FileNotFoundError(f"no checkpoint {checkpoint}")
-    with replacing(output) as part:
+    with replacing(output, overwrite=overwrite) as part:
         chosen = [] if level is None else [level]
         command = [sys.executable, "-m", __name__, str(checkpoint), str(part), *chosen]
         done = subprocess.run(command, capture_output=True, text=True)
