@@ -18,8 +18,8 @@ def parses(words: list[str], monkeypatch: pytest.MonkeyPatch) -> bool:
         return functools.wraps(function)(lambda *_, **__: ran.append(function))
 
     if hasattr(module, "COMMANDS"):
-        subcommands = {name: stand_in(each) for name, each in module.COMMANDS.items()}
-        monkeypatch.setattr(module, "COMMANDS", subcommands)
+        real = module.subcommand
+        monkeypatch.setattr(module, "subcommand", lambda name: stand_in(real(name)))
     else:
         monkeypatch.setattr(module, "run", stand_in(module.run))
     return main(words) == 0 and len(ran) == 1

@@ -17,7 +17,7 @@ SETTINGS = [
 
 @pytest.fixture(autouse=True)
 def rooms(monkeypatch: pytest.MonkeyPatch) -> None:
-    for place in ("train", "train_cache"):
+    for place in ("train_runs", "train_cache"):
         monkeypatch.setattr(
             f"instok3d.cli.{place}.open_training_scenes",
             lambda folder, masks=None: FakeRooms(2, size=32),

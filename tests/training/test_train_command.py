@@ -19,7 +19,7 @@ SMALL = [
 @pytest.fixture(autouse=True)
 def rooms(monkeypatch):
     monkeypatch.setattr(
-        "instok3d.cli.train.open_training_scenes",
+        "instok3d.cli.train_runs.open_training_scenes",
         lambda folder, masks=None: FakeRooms(3, size=32),
     )
 
@@ -51,7 +51,7 @@ def test_the_masks_of_a_run_are_those_of_its_continuation(tmp_path, monkeypatch)
         asked.append(masks)
         return FakeRooms(3, size=32)
 
-    monkeypatch.setattr("instok3d.cli.train.open_training_scenes", opened)
+    monkeypatch.setattr("instok3d.cli.train_runs.open_training_scenes", opened)
     run = ["train", "nano-geometry", "--data", "rooms", "-o", str(tmp_path)]
     assert main([*run, "--steps", "0", "--masks", "sam2", *SMALL]) == 0
     assert read_config(tmp_path).masks == "sam2"

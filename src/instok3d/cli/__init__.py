@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
 
@@ -27,8 +27,11 @@ COMMANDS = {
     "models": "weights made elsewhere: list, fetch, convert",
     "data": "rooms, real data sets and masks to train on",
 }
-"""Each is the function `run` of `instok3d.cli.<name>`, or its table `COMMANDS` of subcommands.
-An int that it returns is the exit code."""
+"""Each is the function `run` of `instok3d.cli.<name>`. Or that module has a table like this one, of
+subcommands, and a function `subcommand` that imports one. An int that they return is the exit
+code."""
+
+ABOUT = "photos of a room in, a 3D scene made of objects out"
 
 OUT_OF_MEMORY = ("can't allocate memory", "CUDA out of memory")
 """What torch, which has no error type for it on the CPU, says when memory runs out."""
@@ -90,36 +93,46 @@ def exit_code(error: Exception) -> int | None:
 
 
 def _dispatch(words: list[str]) -> int:
-    if not words or words[0] in ("-h", "--help"):
-        print(_overview())
-        return OK if words else BAD_INPUT
-    if words[0] == "--version":
+    if words[:1] == ["--version"]:
         print(f"instok3d {__version__}")
         return OK
-    if words[0] not in COMMANDS:
-        print(f"instok3d: no command {words[0]!r}; the commands are: {', '.join(COMMANDS)}",
-              file=sys.stderr)  # fmt: skip
-        return BAD_INPUT
-    module = import_module(f"instok3d.cli.{words[0]}")
-    program = f"instok3d {words[0]}"
+    if not _names_one(words, COMMANDS):
+        return _show_commands(words, "instok3d", ABOUT, COMMANDS)
+    name, words = words[0], words[1:]
+    module, program = import_module(f"instok3d.cli.{name}"), f"instok3d {name}"
+    if not hasattr(module, "COMMANDS"):
+        return _run(module.run, program, words)
+    if not _names_one(words, module.COMMANDS):
+        return _show_commands(words, program, COMMANDS[name], module.COMMANDS)
+    return _run(module.subcommand(words[0]), f"{program} {words[0]}", words[1:])
+
+
+def _names_one(words: list[str], commands: Mapping[str, str]) -> bool:
+    return bool(words) and words[0] in commands
+
+
+def _run(command: Callable[..., int | None], program: str, words: list[str]) -> int:
     try:
-        if hasattr(module, "COMMANDS"):
-            commands = module.COMMANDS
-            code = tyro.extras.subcommand_cli_from_dict(commands, prog=program, args=words[1:])
-        else:
-            code = tyro.cli(module.run, prog=program, args=words[1:])
+        code = tyro.cli(command, prog=program, args=words)
     except SystemExit as stop:  # tyro has printed its help or what is wrong with the arguments
         return stop.code if isinstance(stop.code, int) else OK if stop.code is None else BAD_INPUT
     return code if isinstance(code, int) else OK
 
 
-def _overview() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items()]
-    return "\n".join(
-        ["usage: instok3d COMMAND ...", "", "Photos of a room in, a 3D scene made of objects out.",
-         "", *lines, "", "instok3d COMMAND --help shows its options; --debug shows tracebacks."]
-    )  # fmt: skip
+def _show_commands(
+    words: list[str], program: str, summary: str, commands: Mapping[str, str]
+) -> int:
+    """Print what the commands are, to whoever asked for help or named none of them."""
+    if words and words[0] not in ("-h", "--help"):
+        print(f"{program}: no command {words[0]!r}; the commands are: {', '.join(commands)}",
+              file=sys.stderr)  # fmt: skip
+        return BAD_INPUT
+    width = max(map(len, commands))
+    lines = [f"  {name:{width}}  {each}" for name, each in commands.items()]
+    print(f"usage: {program} COMMAND ...", "", f"{summary[0].upper()}{summary[1:]}.", "", *lines,
+          "", f"{program} COMMAND --help shows its options; --debug shows tracebacks.",
+          sep="\n")  # fmt: skip
+    return OK if words else BAD_INPUT
 
 
 def _sentence(error: Exception) -> str:

@@ -1,13 +1,36 @@
 """`instok3d data`: make procedural rooms and look at them, prepare, verify and label real data."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from instok3d.cli.data_masks import masks
-from instok3d.cli.data_prepare import prepare, verify
+COMMANDS = {
+    "rooms": "render procedural rooms into a folder",
+    "preview": "a contact sheet of a folder of rooms",
+    "prepare": "bring a data set into a folder that training reads",
+    "verify": "compare every file of a prepared folder with its checksum",
+    "masks": "find things in clips and follow them: ids where there are none",
+}
+"""Subcommands of `instok3d data`."""
+
+
+def subcommand(name: str) -> Callable[..., int | None]:
+    """One of COMMANDS."""
+    if name == "masks":
+        from instok3d.cli.data_masks import masks
+
+        return masks
+    if name == "prepare":
+        from instok3d.cli.data_prepare import prepare
+
+        return prepare
+    if name == "verify":
+        from instok3d.cli.data_verify import verify
+
+        return verify
+    return {"rooms": rooms, "preview": preview}[name]
 
 
 def _seed_range(text: str) -> range:
@@ -73,18 +96,3 @@ def preview(
     with replacing(path) as part:
         sheet.save(part, "PNG")
     print(path)
-
-
-COMMANDS = {
-    "rooms": rooms, "preview": preview, "prepare": prepare, "verify": verify, "masks": masks
-}  # fmt: skip
-"""Subcommands of `instok3d data`."""
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Run one of COMMANDS."""
-    tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="instok3d data", args=arguments)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

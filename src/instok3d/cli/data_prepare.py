@@ -1,12 +1,10 @@
-"""`instok3d data prepare` and `data verify`: real data sets as folders that training reads."""
+"""`instok3d data prepare`: real data sets as folders that training reads."""
 
-import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tqdm import tqdm
 from tyro.conf import Positional, arg, subcommand
 
 from instok3d.cli.progress import plain_warnings
@@ -14,13 +12,11 @@ from instok3d.datasets.colmap_scenes import ColmapSource, MipNeRF360Source
 from instok3d.datasets.footage import FootageSource
 from instok3d.datasets.preparation import PreparationReport, plan_preparation
 from instok3d.datasets.preparation import prepare as prepare_scenes
-from instok3d.datasets.prepared import Fault, refresh_index, scene_folders
-from instok3d.datasets.prepared.verifying import verify_index, verify_scene
 from instok3d.datasets.re10k import Re10kSource
 from instok3d.datasets.scannet.source import ScanNetSource
 
 FAILED = 2
-"""Exit code when scenes could not be prepared or files are missing or damaged."""
+"""Exit code when scenes could not be prepared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,35 +99,6 @@ def _prepare(arguments: Arguments) -> int:
     report = prepare_scenes(plan, workers=arguments.workers)
     print(_summary(report, arguments.output))
     return FAILED if report.failed else 0
-
-
-def verify(
-    folder: Positional[Path], json_output: Annotated[bool, arg(name="json")] = False,
-    index: bool = False,
-) -> int:  # fmt: skip
-    """Compare every file of a prepared folder with its checksum; exit code 2 if any is wrong.
-
-    Args:
-        folder: Written by `instok3d data prepare`.
-        json_output: Print the faults as JSON.
-        index: First write the index of scenes anew from what lies in the folder.
-    """
-    if not folder.is_dir():
-        raise FileNotFoundError(f"there is no folder {folder}")
-    if index:
-        refresh_index(folder)
-    faults: list[Fault] = list(verify_index(folder))
-    scenes = scene_folders(folder)
-    for scene in tqdm(scenes, unit="scene"):
-        faults += verify_scene(scene)
-    if json_output:
-        rows = [asdict(fault) for fault in faults]
-        print(json.dumps({"scenes": len(scenes), "faults": rows}, indent=2))
-    else:
-        for fault in faults:
-            print(f"{fault.path}: {fault.problem}")
-        print(f"{folder}: {len(scenes)} scenes, {len(faults)} faults")
-    return FAILED if faults else 0
 
 
 def _summary(report: PreparationReport, folder: Path) -> str:

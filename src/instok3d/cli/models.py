@@ -1,6 +1,7 @@
 """`instok3d models`: weights made elsewhere, listed, fetched and converted."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,7 +10,19 @@ from tyro.conf import Positional, arg
 if TYPE_CHECKING:
     from instok3d.weights import WeightsEntry
 
+COMMANDS = {
+    "list": "every set of weights: size, licences, what it is for, whether it is here",
+    "pull": "fetch weights into the cache and check them",
+    "convert": "the tensors of a checkpoint of others as a safetensors file",
+}
+"""Subcommands of `instok3d models`."""
+
 UNKNOWN = "unknown: recorded at the first pull"
+
+
+def subcommand(name: str) -> Callable[..., None]:
+    """One of COMMANDS."""
+    return {"list": list_models, "pull": pull, "convert": convert}[name]
 
 
 def list_models(json: bool = False) -> None:
@@ -145,6 +158,3 @@ def _convert_lpips(entry: "WeightsEntry", member: Path, output: Path) -> None:
 
 def _say(line: str) -> None:
     print(f"instok3d: {line}", file=sys.stderr)
-
-
-COMMANDS = {"list": list_models, "pull": pull, "convert": convert}

@@ -1,156 +1,39 @@
 """`instok3d train`: the training stages, and the export of what they made."""
 
 import json
-import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-import torch
-from tyro.conf import AvoidSubcommands, arg
+from tyro.conf import arg
 
-from instok3d.cli.train_cache import cache
-from instok3d.data.scenes import SceneSource
-from instok3d.datasets.opening import open_training_scenes
-from instok3d.training.cache.settings import check_cache
-from instok3d.training.config import PRESETS, TrainConfig, overlay, preset, read_config
-from instok3d.training.cost.estimate import check_memory
-from instok3d.training.cost.plan import make_plan, plan_text
-from instok3d.training.cost.scene_check import check_scenes
-from instok3d.training.distributed import check_device
-from instok3d.training.export import export_model
-from instok3d.training.loop import train
-from instok3d.training.stages.adapt import AdaptStage, AdaptStageConfig
-from instok3d.training.stages.geometry import GeometryStage, GeometryStageConfig
-from instok3d.training.stages.stage import Stage
-from instok3d.training.stages.tokenizer import TokenizerStage
-from instok3d.weights import weights_path
+COMMANDS = {
+    "scannet-adapt": "VGGT learns the metres of ScanNet",
+    "scannet-2view": "the paper's tokenizer on two views of ScanNet",
+    "scannet-8view": "the paper's tokenizer on eight views of ScanNet",
+    "re10k-adapt": "VGGT learns the unit of RealEstate10K",
+    "re10k-2view": "the paper's tokenizer on RealEstate10K",
+    "nano-geometry": "the nano backbone on rooms",
+    "nano-refinement": "its refinement of depth, on top of that",
+    "nano-tokenizer": "the tokenizer of the default model",
+    "nano-adapt": "the nano backbone learns the depths of other scenes",
+    "cache": "a frozen backbone's features, written once for a tokenizer run",
+    "export": "a run's averaged weights as one file",
+}
+"""Subcommands of `instok3d train`: the presets of `training.config`, and what goes with them."""
 
 
-@dataclass(frozen=True)
-class RunArguments:
-    """Where a run reads and writes."""
+def subcommand(name: str) -> Callable[..., None]:
+    """One of COMMANDS. The settings of presets are those of networks, which need PyTorch."""
+    if name == "export":
+        return export
+    if name == "cache":
+        from instok3d.cli.train_cache import cache
 
-    data: Path
-    """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
-    those of the training split are used."""
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
-    resume: bool = False
-    """Go on from the newest checkpoint with the settings of the run; those given here change
-    them, except that one which is the preset's own cannot be told from one not given."""
-    add_scenes: bool = False
-    """On resuming, also train on the scenes that the folder has gained since the run began."""
-    init_from: Path | None = None
-    """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
-    run that trained its backbone, or a tokenizer run; or else --stage.cache. An adapt run of VGGT
-    begins with the published weights without it."""
-    time_limit_min: float | None = None
-    """Save and stop after so many minutes; go on later with --resume."""
-    dry_run: bool = False
-    """Print what the run would do and take (samples, steps, time, memory, disk, what is frozen,
-    what is missing); train nothing, write nothing."""
-    gpus: int | None = None
-    """For the plan alone: processes, one for each GPU; None = as torchrun says, or 4 as in the
-    paper, or 1 on a CPU."""
-    gpu: Literal["a6000", "rtx4090", "a100", "l40s", "h100", "h200"] = "a6000"
-    """For the plan alone: of which kind."""
+        return cache
+    from instok3d.cli.train_runs import preset_command
 
-
-def _command(name: str) -> Callable[..., None]:
-    default = preset(name)
-
-    def run(
-        arguments: Annotated[RunArguments, arg(name="")],
-        config: Annotated[AvoidSubcommands[TrainConfig], arg(name="")] = default,
-    ) -> None:
-        if arguments.output is None and not arguments.dry_run:
-            raise ValueError("a run needs a folder: give -o RUN, or --dry-run to see the plan")
-        if arguments.resume and arguments.output is not None:
-            begun = read_config(arguments.output)
-            if type(begun.stage) is not type(default.stage):
-                raise ValueError(
-                    f"{arguments.output} holds a run of another stage than {name}: go on with the "
-                    "command that began it"
-                )
-            config = overlay(begun, default, config)
-        source = open_training_scenes(arguments.data, masks=config.masks)
-        if arguments.dry_run:
-            show_plan(arguments, config, source)
-        else:
-            run_training(arguments, config, source)
-
-    run.__doc__ = f"Train with the preset {name}; every setting can be changed."
-    return run
-
-
-def show_plan(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
-    """Print what the run would do."""
-    processes = arguments.gpus
-    if processes is None:
-        processes = int(os.environ.get("WORLD_SIZE", 1 if config.device == "cpu" else 4))
-    plan = make_plan(
-        config,
-        source,
-        num_gpus=processes,
-        gpu=arguments.gpu,
-        init_from=arguments.init_from,
-        resume=arguments.resume,
-    )
-    print(plan_text(plan, gpu=arguments.gpu))
-
-
-def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
-    """Train; one JSON object on stdout says how it ended.
-
-    Raises:
-        ValueError: A new run has no backbone to start from, or the scenes lack what it needs.
-        MissingWeightsError: Published weights that it needs are not on this machine.
-        NotEnoughMemoryError: A step is predicted not to fit; says which batch size would.
-        KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
-    """
-    assert arguments.output is not None
-    check_device(config.device)
-    check_memory(config, *check_scenes(config, source))
-    stage, init_from = _stage_of(config), arguments.init_from
-    if isinstance(stage, TokenizerStage) and stage.cache:
-        check_cache(stage.cache, config, source)
-    elif not (arguments.resume or init_from):
-        init_from = _first_weights(config)
-    outcome = train(
-        config,
-        stage,
-        source,
-        arguments.output,
-        resume=arguments.resume,
-        add_scenes=arguments.add_scenes,
-        init_from=init_from,
-        time_limit_min=arguments.time_limit_min,
-    )
-    if os.environ.get("RANK", "0") == "0":  # torchrun's processes share one stdout
-        print(json.dumps({"step": outcome.step, "ended": outcome.reason}))
-    if outcome.reason == "interrupted":
-        raise KeyboardInterrupt
-
-
-def _stage_of(config: TrainConfig) -> Stage:
-    if isinstance(config.stage, GeometryStageConfig):
-        return GeometryStage(config.stage)
-    if isinstance(config.stage, AdaptStageConfig):
-        return AdaptStage(config.stage)
-    return TokenizerStage(config.stage)
-
-
-def _first_weights(config: TrainConfig) -> Path | None:
-    """Where a new run begins that was not told; None: with random weights."""
-    stage = config.stage
-    if isinstance(stage, AdaptStageConfig) and stage.weights:
-        return weights_path(stage.weights)
-    if isinstance(stage, GeometryStageConfig):
-        return None
-    kind = "an adapt" if isinstance(stage, AdaptStageConfig) else "a tokenizer"
-    raise ValueError(f"{kind} run needs --init-from RUN with a trained backbone")
+    return preset_command(name)
 
 
 def export(
@@ -171,9 +54,10 @@ def export(
         float32: Full precision, twice the size.
         notes: Text for the model card.
     """
+    import torch
+
+    from instok3d.training.export import export_model
+
     torch.set_num_threads(1)
     card = export_model(run, output, half=not float32, notes=notes)
     print(json.dumps({key: card[key] for key in ("steps", "hours", "scenes", "commit")}))
-
-
-COMMANDS = {**{name: _command(name) for name in PRESETS}, "cache": cache, "export": export}
