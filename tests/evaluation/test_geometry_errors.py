@@ -48,12 +48,26 @@ def test_views_from_one_place_have_no_baseline_error():
     true = torch.stack([torch.eye(4), turned(30, (0, 0, 0))])
     errors = camera_errors(torch.stack([torch.eye(4), turned(30, (0.1, 0, 0))]), true)
     assert float(errors.rotation_deg[0]) == pytest.approx(0, abs=1e-4)
-    assert errors.direction_deg.isnan().all()
-    assert errors.length_rel.isnan().all()
+    assert errors.direction_deg.numel() == errors.length_rel.numel() == 0
+
+
+def test_only_the_pairs_that_stand_apart_have_a_baseline_error():
+    true = torch.stack([torch.eye(4), turned(30, (0, 0, 0)), turned(0, (1.0, 0, 0))])
+    errors = camera_errors(true, true)
+    assert errors.rotation_deg.shape == (3,)
+    assert errors.direction_deg.shape == errors.length_rel.shape == (2,)
+
+
+def test_a_predicted_camera_that_is_no_number_is_not_taken_for_an_unknown_baseline():
+    true = torch.stack([torch.eye(4), turned(0, (1.0, 0, 0))])
+    predicted = true.clone()
+    predicted[1, 0, 3] = torch.nan
+    assert camera_errors(predicted, true).direction_deg.isnan().all()
 
 
 def test_one_view_has_no_pair():
-    assert camera_errors(torch.eye(4)[None], torch.eye(4)[None]).rotation_deg.numel() == 0
+    errors = camera_errors(torch.eye(4)[None], torch.eye(4)[None])
+    assert errors.rotation_deg.numel() == errors.direction_deg.numel() == 0
 
 
 def test_depth_errors_by_hand():

@@ -74,3 +74,27 @@ def test_true_depth_never_enters_the_picture(flat_sample):
 def test_a_batch_of_two_scenes_is_refused(flat_sample: Sample):
     with pytest.raises(ValueError, match="one scene, got 2"):
         predict(oracle(flat_sample), collate([flat_sample, flat_sample]), "given")
+
+
+@pytest.mark.parametrize("part", ["means", "sh", "opacities", "assignment", "depths", "cameras"])
+def test_an_answer_that_is_no_number_is_an_error_that_names_the_sample(flat_sample, part):
+    """A renderer leaves such a Gaussian out: the picture would look measured."""
+    groups = oracle(flat_sample)(flat_sample.context)
+
+    def spoiled(values: torch.Tensor) -> torch.Tensor:
+        values = values.clone()
+        values.view(-1)[3] = torch.nan
+        return values
+
+    if part == "assignment":
+        groups = replace(groups, assignment=spoiled(groups.assignment))
+    elif part in ("depths", "cameras"):
+        geometry = groups.geometry
+        cameras = replace(geometry.cameras, cam_from_world=spoiled(geometry.cameras.cam_from_world))
+        changed = {"depths": spoiled(geometry.depths), "cameras": cameras}[part]
+        groups = replace(groups, geometry=replace(geometry, **{part: changed}))
+    else:
+        gaussians = replace(groups.gaussians, **{part: spoiled(getattr(groups.gaussians, part))})
+        groups = replace(groups, gaussians=gaussians)
+    with pytest.raises(ValueError, match=rf"0 frames 7,9 .* {part}"):
+        predict(lambda views: groups, flat_sample, "predicted")

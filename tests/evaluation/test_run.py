@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,7 +125,7 @@ def test_table_and_rows_name_every_method(report):
 def test_figures_of_scores_by_hand():
     # Cameras: rooms have medians 2 (of 1, 2, 9) and 4: their median is 3. Depth: means .2 and .4.
     def geometry(rotation: float, depth: float) -> GeometryScore:
-        return GeometryScore(rotation, math.nan, 0.0, depth, 0.0)
+        return GeometryScore(rotation, None, 0.0, depth, 0.0)
 
     first = SceneScore(
         "1", "easy", (ViewScore(psnr=20.0), ViewScore(psnr=30.0)),
@@ -137,6 +138,49 @@ def test_figures_of_scores_by_hand():
     assert figures.depth_rel == pytest.approx(0.3)
     assert figures.groups_used == pytest.approx(5.0)
     assert figures.direction_deg is figures.ap is figures.ssim is figures.masks_per_view is None
+    assert (figures.counts["psnr"], figures.counts["rotation_deg"]) == (3, 4)
+    assert figures.counts["ssim"] == figures.counts["ap"] == 0
+
+
+def test_a_score_that_is_no_number_is_an_error_that_names_its_scene():
+    def scene(**scores: float) -> SceneScore:
+        return SceneScore("17", None, (ViewScore(psnr=20.0), ViewScore(**scores)))
+
+    with pytest.raises(ValueError, match="psnr of scene 17 is nan"):
+        summarize([scene(psnr=math.nan)])
+    with pytest.raises(ValueError, match="lpips of scene 17 is inf"):
+        summarize([scene(psnr=20.0, lpips=math.inf)])
+    broken = GeometryScore(math.nan, None, None, None, None)
+    with pytest.raises(ValueError, match="rotation_deg of scene 17 is nan"):
+        summarize([SceneScore("17", None, (ViewScore(psnr=20.0),), (broken,))])
+
+
+def test_scores_that_are_missing_are_counted_and_said(flat_sample):
+    """Of two rooms one has no instance and no true depth: no AP of its own, no depth error."""
+    empty = replace(
+        flat_sample,
+        context=replace(flat_sample.context, depths=torch.zeros_like(flat_sample.context.depths)),
+        target_instances=torch.zeros_like(flat_sample.target_instances),
+    )
+    rooms = [ProtocolScene("1", "easy", (flat_sample,)), ProtocolScene("2", "hard", (empty,))]
+    report = evaluate(
+        oracle(flat_sample), rooms, protocol="rooms-2view", model_name="oracle"
+    )  # fmt: skip
+    counts = report.figures.counts
+    assert (counts["psnr"], counts["ap"], counts["ap_scene_mean"]) == (2, 1, 1)
+    assert (counts["rotation_deg"], counts["depth_rel"], counts["groups_used"]) == (2, 1, 2)
+    text = as_table(report)
+    assert "1 of 2 rooms have an instance that is asked for" in text
+    assert "Known for 1 of 2 samples alone: depth_rel, depth_rel_unscaled, length_rel." in text
+    details = as_json(report, details=True)["details"]
+    assert details["figures"]["counts"]["depth_rel"] == 1
+    assert details["levels"]["hard"]["ap"] is None
+
+
+def test_where_nothing_is_missing_nothing_is_said_of_counts(report):
+    assert report.figures.counts["psnr"] == report.figures.targets == 4
+    assert " of 2 rooms have" not in as_table(report)
+    assert "Known for" not in as_table(report)
 
 
 def test_predicted_masks_take_the_colour_of_what_they_cover():

@@ -1,12 +1,13 @@
 """Figures over scenes from the scores of their views."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from instok3d.evaluation.instance_ap import average_precision, scene_macro_ap
-from instok3d.evaluation.scores import SceneScore
+from instok3d.evaluation.scores import GeometryScore, SceneScore, ViewScore, check_numbers
 
 
 @dataclass(frozen=True)
@@ -15,9 +16,11 @@ class Figures:
 
     Pictures: mean over target views. AP: pooled over target views. Cameras: median over scenes of
     the median over a scene's samples. Depth: mean over scenes of the mean over a scene's samples.
+    `counts` says over how many scores each figure is where some have no truth.
     """
 
     scenes: int
+    samples: int
     targets: int
     psnr: float | None
     ssim: float | None
@@ -47,61 +50,88 @@ class Figures:
     """PSNR where the length of the predicted world comes from true depth, not from baselines."""
     groups_used: float | None
     """Groups that win at least one anchor, mean over samples."""
+    counts: dict[str, int]
+    """Scores behind each figure: target views behind pictures, samples behind cameras, depth and
+    groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance."""
+
+
+PICTURES = ("psnr", "ssim", "lpips", "psnr_depth_scaled")
+MEDIANS = ("rotation_deg", "direction_deg", "length_rel")
+MEANS = ("depth_rel", "depth_rel_unscaled")
 
 
 def summarize(scenes: Sequence[SceneScore]) -> Figures:
-    """Figures over scenes that were measured by one method; what has no truth is left out."""
+    """Figures over scenes that were measured by one method.
+
+    What has no truth (None) is left out and counted.
+
+    Raises:
+        ValueError: A score is not finite.
+    """
     views = [view for scene in scenes for view in scene.views]
+    samples = [sample for scene in scenes for sample in scene.geometry]
+    for scene in scenes:
+        for score in (*scene.views, *scene.geometry):
+            check_numbers(score, f"scene {scene.name}")
     pooled = average_precision([view.matches for view in views if view.matches])
     macro = scene_macro_ap([[v.matches for v in scene.views if v.matches] for scene in scenes])
     large = average_precision([view.matches_large for view in views if view.matches_large])
     with_masks = sum(view.matches is not None for view in views)
-
-    def of_scenes(name: str, of_samples: str) -> list[float]:
-        function = {"median": np.median, "mean": np.mean}[of_samples]
-        each = [_not_nan(getattr(score, name) for score in scene.geometry) for scene in scenes]
-        return [float(function(values)) for values in each if values]
-
+    with_instances = sum(
+        any(view.matches and view.matches.num_instances for view in scene.views) for scene in scenes
+    )
+    pictures = {name: _known(views, name) for name in PICTURES}
+    used = [float(count) for scene in scenes for count in scene.groups_used]
     return Figures(
         scenes=len(scenes),
+        samples=len(samples),
         targets=len(views),
-        psnr=_mean(view.psnr for view in views),
-        ssim=_mean(view.ssim for view in views),
-        lpips=_mean(view.lpips for view in views),
-        ap=_known(pooled.ap),
-        ap50=_known(pooled.ap50),
-        ap25=_known(pooled.ap25),
-        ap_scene_mean=_known(macro.ap),
-        ap50_scene_mean=_known(macro.ap50),
-        ap25_scene_mean=_known(macro.ap25),
-        ap_large=_known(large.ap),
-        ap50_large=_known(large.ap50),
-        ap25_large=_known(large.ap25),
+        **{name: _mean(values) for name, values in pictures.items()},
+        ap=_or_none(pooled.ap),
+        ap50=_or_none(pooled.ap50),
+        ap25=_or_none(pooled.ap25),
+        ap_scene_mean=_or_none(macro.ap),
+        ap50_scene_mean=_or_none(macro.ap50),
+        ap25_scene_mean=_or_none(macro.ap25),
+        ap_large=_or_none(large.ap),
+        ap50_large=_or_none(large.ap50),
+        ap25_large=_or_none(large.ap25),
         instances_per_view=pooled.num_instances / with_masks if with_masks else None,
         masks_per_view=pooled.num_masks / with_masks if with_masks else None,
-        rotation_deg=_median(of_scenes("rotation_deg", "median")),
-        direction_deg=_median(of_scenes("direction_deg", "median")),
-        length_rel=_median(of_scenes("length_rel", "median")),
-        depth_rel=_mean(of_scenes("depth_rel", "mean")),
-        depth_rel_unscaled=_mean(of_scenes("depth_rel_unscaled", "mean")),
-        psnr_depth_scaled=_mean(view.psnr_depth_scaled for view in views),
-        groups_used=_mean(float(count) for scene in scenes for count in scene.groups_used),
+        **{name: _median(_of_scenes(scenes, name, np.median)) for name in MEDIANS},
+        **{name: _mean(_of_scenes(scenes, name, np.mean)) for name in MEANS},
+        groups_used=_mean(used),
+        counts={
+            **{name: len(values) for name, values in pictures.items()},
+            **{name: len(_known(samples, name)) for name in (*MEDIANS, *MEANS)},
+            "ap": with_instances,
+            "ap_scene_mean": with_instances,
+            "groups_used": len(used),
+        },
     )
 
 
-def _mean(values: Iterable[float]) -> float | None:
-    known = _not_nan(values)
-    return float(np.mean(known)) if known else None
+def _of_scenes(
+    scenes: Sequence[SceneScore], name: str, function: Callable[[list[float]], Any]
+) -> list[float]:
+    """One value for each scene of which a sample has the score."""
+    each = [_known(scene.geometry, name) for scene in scenes]
+    return [float(function(values)) for values in each if values]
 
 
-def _median(values: Iterable[float]) -> float | None:
-    known = _not_nan(values)
-    return float(np.median(known)) if known else None
+def _known(scores: Iterable[ViewScore | GeometryScore], name: str) -> list[float]:
+    values = (getattr(score, name) for score in scores)
+    return [value for value in values if value is not None]
 
 
-def _not_nan(values: Iterable[float]) -> list[float]:
-    return [value for value in values if not np.isnan(value)]
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
-def _known(value: float) -> float | None:
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _or_none(value: float) -> float | None:
+    """NaN is what AP says where there is no instance."""
     return None if np.isnan(value) else value

@@ -20,11 +20,11 @@ class CameraErrors:
 
     rotation_deg: Float[Tensor, " pair"]
     """Angle between the predicted and the true relative rotation."""
-    direction_deg: Float[Tensor, " pair"]
-    """Angle between the predicted and the true baseline, in the first camera of the pair; NaN
-    where the true cameras stand together."""
-    length_rel: Float[Tensor, " pair"]
-    """|s |t_predicted| - |t_true|| / |t_true| with the scale that was given; NaN likewise."""
+    direction_deg: Float[Tensor, " apart"]
+    """Angle between the predicted and the true baseline, in the first camera of the pair; of the
+    pairs alone whose true cameras stand apart."""
+    length_rel: Float[Tensor, " apart"]
+    """|s |t_predicted| - |t_true|| / |t_true| with the scale that was given; of the same pairs."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,10 @@ def camera_errors(
     sine = torch.linalg.cross(baseline, true_baseline).norm(dim=-1)
     direction = torch.atan2(sine, (baseline * true_baseline).sum(-1))
     apart = true_length > BASELINE_MIN
-    nothing = torch.full_like(true_length, torch.nan)
     return CameraErrors(
         rotation_deg=rotation.rad2deg(),
-        direction_deg=torch.where(apart, direction.rad2deg(), nothing),
-        length_rel=torch.where(apart, (length - true_length).abs() / true_length, nothing),
+        direction_deg=direction.rad2deg()[apart],
+        length_rel=((length - true_length).abs() / true_length)[apart],
     )
 
 

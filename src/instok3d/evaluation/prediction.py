@@ -61,7 +61,8 @@ def predict(
         alpha_min: Pixels covered no more than this belong to no group.
 
     Raises:
-        ValueError: The sample is no batch of one, or lacks true cameras or depth.
+        ValueError: The sample is no batch of one, or lacks true cameras or depth; or the model's
+            answer is not finite.
     """
     batch, _, _, height, width = sample.target.images.shape
     if batch != 1:
@@ -70,6 +71,7 @@ def predict(
     if sample.context.depths is None:
         raise ValueError("context.depths is missing; an evaluation sample carries true depth")
     groups = model(sample.context if mode == "given" else photos_only(sample.context))
+    _check_finite(groups, sample.names[0])
     gaussians, pi = groups.gaussians.scene(0), groups.assignment[0]
     predicted = groups.geometry.cameras.scene(0)
 
@@ -110,3 +112,23 @@ def _cameras(views: Views) -> Cameras:
     if views.cam_from_world is None or views.intrinsics is None:
         raise ValueError("cameras are missing; an evaluation sample carries the true ones")
     return Cameras(views.cam_from_world[0], views.intrinsics[0])
+
+
+def _check_finite(groups: TokenGroups, name: str) -> None:
+    """A renderer leaves out what is not finite, so the picture alone would not tell.
+
+    Points and features may be so: who uses them knows that some are unknown.
+    """
+    geometry = groups.geometry
+    parts = {
+        **vars(groups.gaussians),
+        "assignment": groups.assignment,
+        "depths": geometry.depths,
+        **{f"{part} of the cameras": value for part, value in vars(geometry.cameras).items()},
+    }
+    wrong = [part for part, values in parts.items() if not values.isfinite().all()]
+    if wrong:
+        raise ValueError(
+            f"the model's answer to {name} is not finite and cannot be measured: look for NaN in "
+            f"the model's weights; not finite are {', '.join(wrong)}"
+        )

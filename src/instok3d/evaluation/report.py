@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from instok3d.evaluation.figures import Figures
+from instok3d.evaluation.figures import MEANS, MEDIANS, PICTURES, Figures
 from instok3d.evaluation.run import EvaluationReport
 
 KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
@@ -83,6 +83,7 @@ def notes(report: EvaluationReport) -> list[str]:
     ]
     if figures.ap is None:
         lines = ["AP was not measured: the scenes have no instances that are known."]
+    lines += _missing(figures, word)
     if report.lpips_trunk is None:
         lines.append("LPIPS was not measured: no weights were given (--lpips).")
     elif report.lpips_trunk != "vgg16":
@@ -158,9 +159,32 @@ def _text(value: float | None, decimals: int = 3) -> str:
     return "-" if value is None else f"{value:.{decimals}f}"
 
 
-def _rounded(value: float | int | None) -> float | int | None:
+def _rounded(value: Any) -> Any:
     return round(value, 6) if isinstance(value, float) else value
 
 
-def _all(figures: Figures) -> dict[str, float | int | None]:
+def _all(figures: Figures) -> dict[str, Any]:
     return {name: _rounded(value) for name, value in asdict(figures).items()}
+
+
+def _missing(figures: Figures, word: str) -> list[str]:
+    """Sentences on figures that are known for a part alone."""
+    counts, lines = figures.counts, []
+    if 0 < counts["ap"] < figures.scenes:
+        lines.append(
+            f"{counts['ap']} of {figures.scenes} {word} have an instance that is asked for; the "
+            "others add no instance to AP and are not in its mean over them."
+        )
+    for kind, names, total in (
+        ("target views", PICTURES, figures.targets),
+        ("samples", (*MEANS, *MEDIANS), figures.samples),
+    ):
+        partly: dict[int, list[str]] = {}
+        for name in names:
+            if 0 < counts[name] < total:
+                partly.setdefault(counts[name], []).append(name)
+        lines += [
+            f"Known for {count} of {total} {kind} alone: {', '.join(sorted(each))}."
+            for count, each in partly.items()
+        ]
+    return lines

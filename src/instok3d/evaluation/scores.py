@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.sample import Sample
-from instok3d.evaluation.geometry_errors import DepthErrors, camera_errors, depth_errors
+from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.evaluation.image_quality import psnr, ssim
 from instok3d.evaluation.instance_ap import ApSettings, ImageMatches, PredictedMasks, match_image
 from instok3d.objectives.lpips import Lpips
@@ -21,28 +21,29 @@ LARGE_AREA = 50
 
 @dataclass(frozen=True)
 class ViewScore:
-    """One target view; NaN and None are what was not measured."""
+    """One target view; None is what was not measured."""
 
-    psnr: float = np.nan
-    ssim: float = np.nan
-    lpips: float = np.nan
+    psnr: float | None = None
+    ssim: float | None = None
+    lpips: float | None = None
     matches: ImageMatches | None = None
     matches_large: ImageMatches | None = None
-    psnr_depth_scaled: float = np.nan
+    psnr_depth_scaled: float | None = None
 
 
 @dataclass(frozen=True)
 class GeometryScore:
     """One sample's context views: cameras median over pairs, depth mean over pixels.
 
-    NaN where the truth is not known; without depth the length of a baseline has no scale.
+    None where there is no truth: depth that nobody measured, and with it the scale of a baseline's
+    length; baselines of cameras that stand together; the rotation of one view alone.
     """
 
-    rotation_deg: float
-    direction_deg: float
-    length_rel: float
-    depth_rel: float
-    depth_rel_unscaled: float
+    rotation_deg: float | None
+    direction_deg: float | None
+    length_rel: float | None
+    depth_rel: float | None
+    depth_rel_unscaled: float | None
 
 
 @dataclass(frozen=True)
@@ -66,50 +67,76 @@ def score_views(
     lpips: Lpips | None = None,
     images_depth_scaled: Float[Tensor, "target 3 height width"] | None = None,
 ) -> list[ViewScore]:
-    """Scores of the target views of a sample of one, for the pictures or masks that are there."""
+    """Scores of the target views of a sample of one, for the pictures or masks that are there.
+
+    Raises:
+        ValueError: A picture, and so a score, is not finite.
+    """
     photos = sample.target.images[0]
-    nothing = torch.full((len(photos),), torch.nan)
-    similarity, structure, distance, depth_scaled = nothing, nothing, nothing, nothing
+    pictures: dict[str, Float[Tensor, " target"]] = {}
     if images is not None:
-        similarity, structure = psnr(images, photos), ssim(images, photos)
+        pictures = {"psnr": psnr(images, photos), "ssim": ssim(images, photos)}
         if lpips is not None:
-            distance = lpips(images.clamp(0, 1), photos)
+            pictures["lpips"] = lpips(images.clamp(0, 1), photos)
     if images_depth_scaled is not None:
-        depth_scaled = psnr(images_depth_scaled, photos)
+        pictures["psnr_depth_scaled"] = psnr(images_depth_scaled, photos)
     large = ApSettings(LARGE_AREA, settings.min_predicted_area, settings.void)
     scores = []
     for number, ids in enumerate(sample.target_instances[0].cpu().numpy()):
-        found = None if masks is None else match_image(ids, masks[number], settings)
-        found_large = None if masks is None else match_image(ids, masks[number], large)
-        scores.append(
-            ViewScore(
-                psnr=float(similarity[number]),
-                ssim=float(structure[number]),
-                lpips=float(distance[number]),
-                matches=found,
-                matches_large=found_large,
-                psnr_depth_scaled=float(depth_scaled[number]),
-            )
+        score = ViewScore(
+            matches=None if masks is None else match_image(ids, masks[number], settings),
+            matches_large=None if masks is None else match_image(ids, masks[number], large),
+            **{name: float(values[number]) for name, values in pictures.items()},
         )
+        check_numbers(score, f"{sample.names[0]}, target {number},")
+        scores.append(score)
     return scores
 
 
 def score_geometry(sample: Sample, geometry: Geometry) -> GeometryScore:
-    """Errors of the predicted cameras and depth of the context views of a sample of one."""
+    """Errors of the predicted cameras and depth of the context views of a sample of one.
+
+    Raises:
+        ValueError: What was predicted is not finite.
+    """
     assert sample.context.depths is not None
     assert sample.context.cam_from_world is not None
-    depth = DepthErrors(np.nan, np.nan, np.nan)
+    depth = None
     if (sample.context.depths > 0).any():
         depth = depth_errors(geometry.depths[0], sample.context.depths[0])
     cameras = camera_errors(
         geometry.cameras.cam_from_world[0],
         sample.context.cam_from_world[0],
-        scale=1.0 if np.isnan(depth.scale) else depth.scale,
+        scale=1.0 if depth is None else depth.scale,
     )
-    return GeometryScore(
-        rotation_deg=float(cameras.rotation_deg.nanmedian()),
-        direction_deg=float(cameras.direction_deg.nanmedian()),
-        length_rel=np.nan if np.isnan(depth.scale) else float(cameras.length_rel.nanmedian()),
-        depth_rel=depth.scaled,
-        depth_rel_unscaled=depth.unscaled,
+    score = GeometryScore(
+        rotation_deg=_median(cameras.rotation_deg),
+        direction_deg=_median(cameras.direction_deg),
+        length_rel=None if depth is None else _median(cameras.length_rel),
+        depth_rel=None if depth is None else depth.scaled,
+        depth_rel_unscaled=None if depth is None else depth.unscaled,
     )
+    check_numbers(score, sample.names[0])
+    return score
+
+
+def check_numbers(score: ViewScore | GeometryScore, where: str) -> None:
+    """Fail if a score is not finite: a mean that left it out would flatter what was measured.
+
+    Args:
+        score: Of one view or one sample.
+        where: Of which.
+
+    Raises:
+        ValueError: Names the first such score and where it is.
+    """
+    for name, value in vars(score).items():
+        if isinstance(value, float) and not isfinite(value):
+            raise ValueError(
+                f"{name} of {where} is {value}: look for what is not finite in the model's weights "
+                "and in the data of that scene"
+            )
+
+
+def _median(values: Float[Tensor, " pair"]) -> float | None:
+    return float(values.median()) if len(values) else None

@@ -111,7 +111,7 @@ class GeometryStage:
             "depth_rel": float(np.mean(depth)),
             "rotation_deg": float(torch.cat(rotation).median()),
             "rotation_deg_p90": float(torch.cat(rotation).quantile(0.9)),
-            "direction_deg": float(torch.cat(direction).nanmedian()),
+            "direction_deg": float(torch.cat(direction).median()),
         }
 
     def pictures(self, model: nn.Module, sample: Sample) -> Image:
