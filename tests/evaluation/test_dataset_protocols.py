@@ -69,7 +69,9 @@ def measured(
     scenes: PreparedScenes, protocol: DatasetProtocol, *, settings=None, **options
 ) -> EvaluationReport:
     """The figures of a model that knows the truth of the flat room."""
-    asked = list(protocol_scenes(scenes, protocol, frame_chooser(protocol, **options)))
+    settings = settings or EvaluationSettings()
+    choose = frame_chooser(protocol, **options)
+    asked = list(protocol_scenes(scenes, protocol, choose, model_unit=settings.model_unit))
     room = flat_room()
 
     def model(views: Views) -> TokenGroups:
@@ -97,7 +99,6 @@ def measured(
         )
         return oracle(known)(views)
 
-    settings = settings or EvaluationSettings()
     return evaluate(model, asked, settings, protocol=protocol, model_name="oracle")
 
 
@@ -157,6 +158,48 @@ def test_what_has_no_truth_is_null_and_the_rest_is_measured(tmp_path: Path):
     )
     assert given.figures.rotation_deg is None
     assert given.figures.psnr > 24
+
+
+@pytest.mark.parametrize(
+    ("dataset", "protocol", "model_unit", "unit", "true"),
+    [
+        ("scannet", "scannet-2view", "metre", "metre", True),
+        ("scannet", "scannet-2view", "baseline", "baseline", True),
+        ("scannet", "scannet-2view", None, "metre", False),
+        ("mipnerf360", "mipnerf360-2view", "metre", "baseline", False),
+        ("mipnerf360", "mipnerf360-2view", "baseline", "baseline", True),
+        ("mipnerf360", "mipnerf360-2view", None, "baseline", False),
+    ],
+)
+def test_targets_are_true_where_model_and_scene_have_one_unit(
+    tmp_path: Path, dataset, protocol, model_unit, unit, true
+):
+    scenes = prepared(tmp_path, dataset)
+    settings = EvaluationSettings(geometry="intrinsics", model_unit=model_unit)
+    (scene,) = protocol_scenes(
+        scenes, protocol, frame_chooser(protocol), num_scenes=1, model_unit=model_unit
+    )
+    assert scene.unit == unit
+    report = measured(scenes, protocol, settings=settings)
+    assert report.true_targets == (1 if true else 0)
+    assert report.figures.psnr > 24
+    assert report.figures.rotation_deg < 0.01
+    said = "rendered at their true cameras, in the unit of the data"
+    assert (said in as_table(report)) == true
+    assert ("brought into the predicted world" in as_table(report)) != true
+
+
+def test_targets_are_as_they_are_asked_for(tmp_path: Path):
+    scenes = prepared(tmp_path)
+    for kind, true in (("true", 1), ("aligned", 0)):
+        settings = EvaluationSettings(
+            geometry="intrinsics", model_unit="metre", target_cameras=kind
+        )
+        assert measured(scenes, "scannet-2view", settings=settings).true_targets == true
+    bare = EvaluationSettings(geometry="predicted", model_unit="metre")
+    assert measured(scenes, "scannet-2view", settings=bare).true_targets == 0
+    with pytest.raises(ValueError, match="given cameras have true targets"):
+        EvaluationSettings(geometry="given", target_cameras="aligned")
 
 
 def test_the_index_of_re10k_leaves_scenes_out_with_a_warning(tmp_path: Path):

@@ -9,9 +9,10 @@ from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
 from instok3d.cli.evaluate import _short
+from instok3d.datasets.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
 from instok3d.evaluation.report import KEYS
 from instok3d.files import write_json
-from instok3d.model.files import save_model
+from instok3d.model.files import load_model, save_model
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.rooms.scene import RenderedScene
 from instok3d.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
@@ -47,6 +48,24 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+def prepare_flat_room(folder: Path) -> None:
+    """The flat room as a prepared test scene of ScanNet."""
+    room = flat_room()
+    frames = [
+        PreparedFrame(
+            source=str(k),
+            image=room.images[k],
+            world_from_cam=room.world_from_cam[k].astype(np.float64),
+            intrinsics=room.intrinsics[k].astype(np.float64),
+            depth_thousandths=(room.depths_m[k] * 1000).astype(np.uint16),
+            instances=room.instances[k].astype(np.uint16),
+        )
+        for k in range(16)
+    ]
+    write_scene(folder, SceneInfo("a", "scannet", "test", "metre"), frames)
+    refresh_index(folder)
+
+
 def command(folder: Path, *more: str) -> list[str]:
     words = ["evaluate", "rooms-2view", "--data", str(folder), "--scenes", "2"]
     return [*words, "--model", str(folder / "tiny.safetensors"), *more]
@@ -66,6 +85,28 @@ def test_given_geometry_leaves_its_errors_null(folder, capsys):
     assert main(command(folder, "--json", "--geometry", "given", "--targets-per-scene", "1")) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["rotation_deg"] is result["depth_rel"] is None
+
+
+@pytest.mark.parametrize(("unit", "true_targets"), [("metre", 1), (None, 0)])
+def test_the_papers_protocols_tell_intrinsics_and_render_at_true_cameras_in_their_unit(
+    folder, tmp_path, capsys, unit, true_targets
+):
+    prepare_flat_room(tmp_path)
+    model = load_model(folder / "tiny.safetensors")
+    save_model(model, tmp_path / "model.safetensors", card={"unit": unit})
+    words = ["evaluate", "scannet-2view", "--data", str(tmp_path), "--json", "--details"]
+    assert main([*words, "--model", str(tmp_path / "model.safetensors")]) == 0
+    details = json.loads(capsys.readouterr().out)["details"]
+    assert details["settings"]["geometry"] == "intrinsics"
+    assert details["settings"]["target_cameras"] == "auto"
+    assert details["true_targets"] == true_targets
+
+
+def test_a_unit_that_nobody_knows_is_refused(folder, tmp_path, capsys):
+    model = load_model(folder / "tiny.safetensors")
+    save_model(model, tmp_path / "model.safetensors", card={"unit": "feet"})
+    assert main(command(folder, "--model", str(tmp_path / "model.safetensors"))) == 2
+    assert "its unit is 'feet'; wanted one of metre, baseline" in capsys.readouterr().err
 
 
 def test_pictures_are_saved_for_every_sample(folder, tmp_path, capsys):

@@ -10,12 +10,13 @@ from instok3d.data.view_sampling import FrameChoice
 from instok3d.evaluation.image_quality import psnr
 from instok3d.evaluation.instance_ap import average_precision, match_image
 from instok3d.evaluation.prediction import predict
+from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.types import TokenGroups, Views
 
 ROOMS = FlatRooms([0], ["easy"])
 
 
-@pytest.mark.parametrize("mode", ["given", "predicted"])
+@pytest.mark.parametrize("mode", ["given", "intrinsics", "predicted"])
 def test_a_model_that_knows_the_truth_is_nearly_perfect(flat_sample, mode):
     prediction = predict(oracle(flat_sample), flat_sample, mode)
     assert (
@@ -27,18 +28,22 @@ def test_a_model_that_knows_the_truth_is_nearly_perfect(flat_sample, mode):
     assert prediction.num_groups_used == 3
 
 
-def test_photos_alone_are_shown_in_predicted_mode(flat_sample):
+def test_each_mode_shows_what_it_says_and_no_more(flat_sample):
     seen: list[Views] = []
 
     def model(views: Views) -> TokenGroups:
         seen.append(views)
         return oracle(flat_sample)(views)
 
-    predict(model, flat_sample, "predicted")
-    predict(model, flat_sample, "given")
-    assert seen[0].cam_from_world is seen[0].depths is seen[0].intrinsics is None
-    assert seen[1].depths is not None
-    assert torch.equal(seen[0].images, flat_sample.context.images)
+    for mode in ("predicted", "intrinsics", "given"):
+        predict(model, flat_sample, mode)
+    context = flat_sample.context
+    bare, told, given = seen
+    assert bare.cam_from_world is bare.depths is bare.intrinsics is None
+    assert told.cam_from_world is told.depths is None
+    assert torch.equal(told.intrinsics, context.intrinsics)
+    assert torch.equal(given.depths, context.depths)
+    assert all(torch.equal(views.images, context.images) for views in seen)
 
 
 def test_another_guess_of_the_scale_changes_nothing(flat_sample):
@@ -47,6 +52,30 @@ def test_another_guess_of_the_scale_changes_nothing(flat_sample):
     torch.testing.assert_close(scaled.images, plain.images, atol=5e-3, rtol=0)
     assert scaled.images_depth_scaled is not None
     torch.testing.assert_close(scaled.images_depth_scaled, plain.images, atol=5e-3, rtol=0)
+
+
+def test_at_true_cameras_a_model_must_answer_in_their_unit(flat_sample):
+    # Not midway, where no length would matter: frame 10 is 0.8 to the right of the first camera,
+    # in a unit of 1.3 it should be 0.62.
+    sample = make_sample(ROOMS, 0, FrameChoice((0, 15), (10,)))
+    photos = sample.target.images[0]
+
+    def quality(unit: float, target_cameras: TargetCameras) -> float:
+        model = oracle(sample, unit=unit)
+        prediction = predict(model, sample, "intrinsics", target_cameras=target_cameras)
+        assert prediction.images_depth_scaled is None or target_cameras == "aligned"
+        return float(psnr(prediction.images, photos))
+
+    right = quality(1.0, "true")
+    assert right == pytest.approx(quality(1.0, "aligned"), abs=0.05)
+    assert right == pytest.approx(quality(1.3, "aligned"), abs=0.05)
+    assert quality(1.3, "true") < right - 2
+
+
+def test_true_target_cameras_are_rendered_as_they_are(flat_sample):
+    prediction = predict(oracle(flat_sample), flat_sample, "intrinsics", target_cameras="true")
+    assert torch.equal(prediction.cameras.cam_from_world, flat_sample.target.cam_from_world[0])
+    assert torch.equal(prediction.cameras.intrinsics, flat_sample.target.intrinsics[0])
 
 
 def test_the_world_of_the_truth_does_not_matter_for_photos(flat_sample):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.nn import functional
@@ -86,3 +88,21 @@ def test_features_of_another_patch_size_are_named(rng):
     views, geometry = scene(torch.rand(1, 1, 8, 8, 3, generator=rng), torch.rand(1, 1, 3, 8, 8))
     with pytest.raises(ValueError, match=r"have 16 patches of 2 pixels, .* features for 4"):
         ContextFusion(4, 8, patch_size=2)(views, geometry)
+
+
+def test_features_and_tokens_are_normalised_and_colours_and_points_are_not(rng):
+    pointmaps = torch.rand(1, 2, 8, 8, 3, generator=rng) + 1
+    views, geometry = scene(pointmaps, torch.rand(1, 2, 3, 8, 8, generator=rng))
+    fuse = ContextFusion(4, 8, patch_size=4, normalize_scale=False)
+
+    def tokens(**changed: torch.Tensor) -> torch.Tensor:
+        images = changed.pop("images", views.images)
+        return fuse(Views(images), replace(geometry, **changed)).tokens
+
+    plain = tokens()
+    torch.testing.assert_close(plain.mean(-1), torch.zeros(1, 8), atol=1e-5, rtol=0)
+    torch.testing.assert_close(plain.var(-1, unbiased=False), torch.ones(1, 8), atol=1e-2, rtol=0)
+    louder = tokens(features=5 * geometry.features + 2)
+    torch.testing.assert_close(louder, plain, atol=0.01, rtol=0)  # the norm's eps counts for less
+    assert (tokens(pointmaps=5 * pointmaps) - plain).abs().max() > 0.1
+    assert (tokens(images=views.images / 5) - plain).abs().max() > 0.1

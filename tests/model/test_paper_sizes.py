@@ -74,6 +74,9 @@ def test_sizes_that_the_paper_states():
     assert model.group_decoder.queries.shape == (100, 1024)
     heads = 1024 // model.anchor_decoder.decoder.layers[0].cross_attention.head_size
     assert heads == 16
+    # Hidden layers, which it does not state.
+    assert model.place.position_embedding[0].out_features == 1024
+    assert model.gaussian_head.hidden[0].out_features == 2048
 
 
 def test_parameter_counts_are_those_of_the_page():

@@ -106,7 +106,9 @@ def test_an_adapt_run_starts_a_tokenizer_run_and_exports_its_backbone(tmp_path, 
     }
     assert all(torch.equal(exported[name], kept[f"backbone.{name}"]) for name in exported)
     with safe_open(file, framework="pt") as stream:
-        assert json.loads(stream.metadata()["card"])["image_side"] == 32  # of the rooms
+        card = json.loads(stream.metadata()["card"])
+    assert card["image_side"] == 32  # of the rooms
+    assert card["unit"] == "metre"  # rendered at true cameras
     tokenizer = ["train", "nano-tokenizer", "--data", "rooms", "-o", str(tmp_path / "tokenizer")]
     tiny = ["--steps", "1", "--stage.tokenizer.width", "64", "--stage.tokenizer.num-anchors", "8"]
     assert main([*tokenizer, *SMALL, *tiny, "--init-from", str(file)]) == 0

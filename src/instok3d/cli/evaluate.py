@@ -9,6 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from instok3d.data.batches import Unit
     from instok3d.datasets.prepared import Split
     from instok3d.evaluation.dataset_protocols import DatasetProtocol
     from instok3d.evaluation.prediction import Prediction
@@ -29,7 +30,8 @@ def run(
     /,
     data: Path,
     model: Path | None = None,
-    geometry: Literal["predicted", "given"] = "predicted",
+    geometry: Literal["predicted", "intrinsics", "given"] | None = None,
+    target_cameras: Literal["auto", "true", "aligned"] = "auto",
     scenes: int | None = None,
     targets_per_scene: int = 3,
     index: Path | None = None,
@@ -52,7 +54,12 @@ def run(
         data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`, or
             of prepared scenes, from `instok3d data prepare`.
         model: A model file instead of the default model.
-        geometry: predicted: bare photos. given: the model gets true cameras and depth.
+        geometry: predicted: bare photos. intrinsics: the model is told the true intrinsics too.
+            given: it gets true cameras and depth. None: predicted for rooms; intrinsics for the
+            others, as in the paper.
+        target_cameras: Where targets are rendered. true: at their true cameras. aligned: these,
+            brought into the predicted world. auto: true for a model that is told the intrinsics
+            and learned to answer in the unit of the scenes, aligned for others.
         scenes: Only the first so many rooms or scenes.
         targets_per_scene: How many i of each room (rooms-2view).
         index: The evaluation index of RealEstate10K, a JSON file (re10k-2view).
@@ -73,18 +80,27 @@ def run(
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.report import as_json, as_table
     from instok3d.evaluation.run import EvaluationSettings, evaluate
-    from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model
+    from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_unit
     from instok3d.objectives.lpips import load_lpips
 
     if pose_alignment_steps < 0:
         raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
+    unit = read_unit(model)
+    settings = EvaluationSettings(
+        geometry=geometry or ("predicted" if protocol.startswith("rooms-") else "intrinsics"),
+        target_cameras=target_cameras,
+        model_unit=unit,
+        pose_alignment_steps=pose_alignment_steps,
+        ap=ApSettings(min_instance_area=20 if protocol.startswith("rooms-") else 0),
+        baselines=baselines,
+    )
     distance = None if lpips is None else load_lpips(lpips)
     if protocol in ("rooms-2view", "rooms-8view"):
-        total, asked = _rooms(data, protocol, scenes, targets_per_scene)
+        total, asked = _rooms(data, protocol, scenes, targets_per_scene, unit)
     else:
-        total, asked = _prepared(data, protocol, scenes, index, all_targets, split)
+        total, asked = _prepared(data, protocol, scenes, index, all_targets, split, unit)
     asked = _checked(asked, model)
     tokenizer = load_model(model)
     if save is not None:
@@ -100,12 +116,7 @@ def run(
         report = evaluate(
             tokenizer,
             asked,
-            EvaluationSettings(
-                geometry=geometry,
-                pose_alignment_steps=pose_alignment_steps,
-                ap=ApSettings(min_instance_area=20 if protocol.startswith("rooms-") else 0),
-                baselines=baselines,
-            ),
+            settings,
             protocol=protocol,
             model_name=f"{file.name} sha256:{file_sha256(file)[:12]}",
             lpips=distance,
@@ -153,6 +164,7 @@ def _rooms(
     protocol: Literal["rooms-2view", "rooms-8view"],
     num_scenes: int | None,
     targets_per_scene: int,
+    unit: "Unit | None",
 ) -> tuple[int, "Iterable[ProtocolScene]"]:
     """How many test rooms there are to measure, and those rooms."""
     from instok3d.evaluation.protocols import protocol_rooms, room_indices
@@ -164,7 +176,9 @@ def _rooms(
     shards = read_index(data)["shards"].values()
     rejected = {seed for shard in shards for seed in shard["rejected"]}
     indices = room_indices(seeds, rejected=rejected, num_scenes=num_scenes)
-    rooms = protocol_rooms(dataset, indices, protocol, targets_per_scene=targets_per_scene)
+    rooms = protocol_rooms(
+        dataset, indices, protocol, targets_per_scene=targets_per_scene, model_unit=unit
+    )
     return len(indices), rooms
 
 
@@ -175,6 +189,7 @@ def _prepared(
     index: Path | None,
     all_targets: bool,
     split: "Split",
+    unit: "Unit | None",
 ) -> tuple[int, "Iterable[ProtocolScene]"]:
     """How many prepared scenes there are to look at, and those that the protocol can use."""
     from instok3d.datasets.prepared import PreparedScenes
@@ -188,7 +203,8 @@ def _prepared(
     choose = frame_chooser(protocol, re10k_index=entries, all_targets=all_targets)
     prepared = PreparedScenes(data, splits=(split,))
     total = min(len(prepared), num_scenes or len(prepared))
-    return total, protocol_scenes(prepared, protocol, choose, num_scenes=num_scenes)
+    asked = protocol_scenes(prepared, protocol, choose, num_scenes=num_scenes, model_unit=unit)
+    return total, asked
 
 
 def _save_sheets(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from instok3d.data.batches import NoBaselineError, make_sample
+from instok3d.data.batches import NoBaselineError, Unit, make_sample
 from instok3d.data.view_sampling import (
     FrameChoice,
     eight_view_protocol,
@@ -79,17 +79,20 @@ def protocol_scenes(
     choose: ChooseFrames,
     *,
     num_scenes: int | None = None,
+    model_unit: Unit | None = None,
 ) -> Iterator[ProtocolScene]:
     """The scenes one after the other, read when their turn comes.
 
-    Scenes without metres get the distance of their two contexts as the unit. A scene or sample
-    that the protocol cannot use is left out with a warning that says why.
+    Scenes without metres get the distance of their first two contexts as the unit, and so do those
+    with metres for a model that answers in such distances. A scene or sample that the protocol
+    cannot use is left out with a warning that says why.
 
     Args:
         scenes: Of one of the protocol's data sets.
         protocol: Which; its name stands in messages.
         choose: From `frame_chooser`.
         num_scenes: The first so many alone; None for all.
+        model_unit: In which the model answers, if it learned one.
 
     Raises:
         ValueError: A scene is of another data set, or num_scenes is below 1.
@@ -103,7 +106,7 @@ def protocol_scenes(
                 f"scene {info.name} is of {info.dataset}, {protocol} is for "
                 f"{' or '.join(DATASETS[protocol])}; choose the protocol of the data set"
             )
-        unit = "metre" if info.unit == "metre" else "baseline"
+        unit: Unit = "metre" if info.unit == "metre" and model_unit != "baseline" else "baseline"
         samples = []
         try:
             choices = choose(scenes, number)
@@ -116,7 +119,7 @@ def protocol_scenes(
             except NoBaselineError as error:
                 warnings.warn(f"scene {info.name}: {error}", stacklevel=2)
         if samples:
-            yield ProtocolScene(info.name, None, tuple(samples))
+            yield ProtocolScene(info.name, None, tuple(samples), unit)
         else:
             warnings.warn(f"scene {info.name} has no sample by {protocol}", stacklevel=2)
 

@@ -11,13 +11,18 @@ from torch import Tensor
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.camera_refinement import refined_cameras
 from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
-from instok3d.geometry.camera_alignment import baseline_scale, cameras_in_prediction
+from instok3d.geometry.camera_alignment import (
+    TargetCameras,
+    baseline_scale,
+    cameras_in_prediction,
+)
 from instok3d.geometry.similarity import depth_scale
 from instok3d.render import render
 from instok3d.types import Cameras, Geometry, TokenGroups, Views
 
-GeometryMode = Literal["predicted", "given"]
-"""'predicted': the model sees bare photos. 'given': it also sees true cameras and depth."""
+GeometryMode = Literal["predicted", "intrinsics", "given"]
+"""'predicted': the model sees bare photos. 'intrinsics': photos and their true intrinsics, as the
+paper's model does. 'given': true cameras and depth too."""
 
 Model = Callable[[Views], TokenGroups]
 """A Tokenizer, or whatever answers like one."""
@@ -38,7 +43,7 @@ class Prediction:
     """Of the context views, batch of one."""
     images_depth_scaled: Float[Tensor, "target 3 height width"] | None
     """The targets rendered with the length fitted to true depth instead of baselines: a
-    diagnostic that says how much of an error is the length alone. None with given geometry and
+    diagnostic that says how much of an error is the length alone. None at true target cameras and
     where no depth is known."""
 
 
@@ -48,6 +53,7 @@ def predict(
     sample: Sample,
     mode: GeometryMode,
     *,
+    target_cameras: TargetCameras = "aligned",
     pose_alignment_steps: int = 0,
     alpha_min: float = 0.0,
 ) -> Prediction:
@@ -57,7 +63,8 @@ def predict(
         model: Photos in, token groups out.
         sample: A batch of one.
         mode: What of the context views the model sees.
-        pose_alignment_steps: See `alignment.refined_cameras`; 0 leaves it out.
+        target_cameras: Where the targets are rendered; with given cameras always at the true ones.
+        pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
         alpha_min: Pixels covered no more than this belong to no group.
 
     Raises:
@@ -70,7 +77,10 @@ def predict(
     context, target = _cameras(sample.context), _cameras(sample.target)
     if sample.context.depths is None:
         raise ValueError("context.depths is missing; an evaluation sample carries true depth")
-    groups = model(sample.context if mode == "given" else photos_only(sample.context))
+    shown = sample.context
+    if mode != "given":
+        shown = photos_only(shown, keep_intrinsics=mode == "intrinsics")
+    groups = model(shown)
     _check_finite(groups, sample.names[0])
     gaussians, pi = groups.gaussians.scene(0), groups.assignment[0]
     predicted = groups.geometry.cameras.scene(0)
@@ -81,7 +91,7 @@ def predict(
         )
 
     by_depth = None
-    if mode == "given":
+    if mode == "given" or target_cameras == "true":
         cameras = target
     else:
         cameras = place(baseline_scale(predicted.cam_from_world, context.cam_from_world))

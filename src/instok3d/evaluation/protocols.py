@@ -6,7 +6,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from instok3d.data.batches import make_sample
+from instok3d.data.batches import Unit, make_sample
 from instok3d.data.sample import Sample
 from instok3d.data.scenes import SceneSource
 from instok3d.data.view_sampling import FrameChoice, eight_view_protocol, two_view_protocol
@@ -38,6 +38,8 @@ class ProtocolScene:
     """One of LEVELS for a room."""
     samples: tuple[Sample, ...]
     """Batches of one: different frames of the scene, predicted independently."""
+    unit: Unit = "metre"
+    """Of cameras and depths in the samples."""
 
 
 def frame_choices(
@@ -104,13 +106,19 @@ def protocol_rooms(
     protocol: ProtocolName,
     *,
     targets_per_scene: int = 3,
+    model_unit: Unit | None = None,
 ) -> Iterator[ProtocolScene]:
-    """The rooms one after the other, read when their turn comes."""
+    """The rooms one after the other, read when their turn comes.
+
+    They are in metres, except for a model that answers in baselines.
+    """
+    unit = model_unit or "metre"
     for index in indices:
         num_frames = source.num_frames(index)
         choices = frame_choices(protocol, num_frames, targets_per_scene=targets_per_scene)
         yield ProtocolScene(
             name=source.name_of(index),
             level=source.level_of(index),
-            samples=tuple(make_sample(source, index, choice) for choice in choices),
+            samples=tuple(make_sample(source, index, choice, unit=unit) for choice in choices),
+            unit=unit,
         )

@@ -25,8 +25,8 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
 
     Args:
         report: What was measured.
-        details: Adds the key `details`: settings, levels, baselines, further figures, seeds of
-            rooms or names of scenes.
+        details: Adds the key `details`: settings, in how many scenes targets were rendered at true
+            cameras, levels, baselines, further figures, seeds of rooms or names of scenes.
     """
     figures = report.figures
     result: dict[str, Any] = {
@@ -39,6 +39,7 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
         result["details"] = {
             "settings": asdict(report.settings),
             "lpips_trunk": report.lpips_trunk,
+            "true_targets": report.true_targets,
             "figures": _all(figures),
             "levels": {level: _all(each) for level, each in report.levels.items()},
             "baselines": {name: _all(each) for name, each in report.baselines.items()},
@@ -88,28 +89,41 @@ def notes(report: EvaluationReport) -> list[str]:
         lines.append("LPIPS was not measured: no weights were given (--lpips).")
     elif report.lpips_trunk != "vgg16":
         lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
-    if report.settings.geometry == "predicted" and figures.psnr_depth_scaled is None:
-        lines.append(
-            "Target cameras were brought into the predicted world by the context cameras alone. "
-            "No true depth is known. Baselines between context views: "
-            f"{_text(figures.direction_deg)} degrees off in direction."
-        )
-    elif report.settings.geometry == "predicted":
-        lines.append(
-            "Target cameras were brought into the predicted world by the context cameras alone; "
-            f"with the length from true depth instead, PSNR is {_text(figures.psnr_depth_scaled)}."
-            f" Baselines between context views: {_text(figures.direction_deg)} degrees off in "
-            f"direction, {_text(figures.length_rel)} in length. Depth without a scale: "
-            f"{_text(figures.depth_rel_unscaled)}."
-        )
-    else:
-        lines.append("Cameras and depth were given: their errors are not measured.")
+    lines += _geometry_notes(report, word)
     if report.settings.pose_alignment_steps:
         lines.append(
             f"Target cameras were refined against the target photos by "
             f"{report.settings.pose_alignment_steps} steps of pose alignment."
         )
     return lines
+
+
+def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
+    """What the model was told, where targets were rendered, how far off cameras and depth are."""
+    figures, true = report.figures, report.true_targets
+    if report.settings.geometry == "given":
+        return ["Cameras and depth were given: their errors are not measured."]
+    lines = []
+    if report.settings.geometry == "intrinsics":
+        lines.append("The model was told the intrinsics of the photos.")
+    if true:
+        which = "Targets" if true == figures.scenes else f"Targets of {true} {word}"
+        lines.append(f"{which} were rendered at their true cameras, in the unit of the data.")
+    if true < figures.scenes:
+        line = "Target cameras were brought into the predicted world by the context cameras alone"
+        if figures.psnr_depth_scaled is not None:
+            line += "; with the length from true depth instead, PSNR is "
+            line += _text(figures.psnr_depth_scaled)
+        lines.append(f"{line}.")
+    errors = f"Baselines between context views: {_text(figures.direction_deg)} degrees off in "
+    errors += "direction"
+    if figures.depth_rel is None:
+        return [*lines, f"{errors}. No true depth is known."]
+    return [
+        *lines,
+        f"{errors}, {_text(figures.length_rel)} in length. Depth without a scale: "
+        f"{_text(figures.depth_rel_unscaled)}.",
+    ]
 
 
 def results_header(report: EvaluationReport) -> str:
@@ -130,12 +144,15 @@ def results_rows(
         machine: What it ran on.
     """
     named = {report.model: report.figures, **report.baselines}
+    geometry = report.settings.geometry
+    if geometry != "given" and report.true_targets:
+        geometry += ", true targets"
     return "\n".join(
         "| "
         + " | ".join(
             [
                 report.protocol,
-                report.settings.geometry,
+                geometry,
                 name,
                 str(figures.scenes),
                 str(figures.targets),

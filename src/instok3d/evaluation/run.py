@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
+from instok3d.data.batches import Unit
 from instok3d.data.sample import Sample
 from instok3d.evaluation.figures import Figures, summarize
 from instok3d.evaluation.instance_ap import ApSettings
@@ -10,6 +12,7 @@ from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, pred
 from instok3d.evaluation.protocols import LEVELS, ProtocolScene
 from instok3d.evaluation.scores import SceneScore, ViewScore, score_geometry, score_views
 from instok3d.evaluation.simple_baselines import color_masks, nearest_contexts, warped_photos
+from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.objectives.lpips import Lpips
 
 
@@ -18,7 +21,12 @@ class EvaluationSettings:
     """How to measure."""
 
     geometry: GeometryMode = "predicted"
-    """Whether the model sees bare photos, or true cameras and depth too."""
+    """What the model sees beside the photos."""
+    target_cameras: Literal["auto", TargetCameras] = "auto"
+    """Where targets are rendered. auto: at the true cameras for a model that is told the intrinsics
+    and answers in the unit of the scene; brought into the predicted world for others."""
+    model_unit: Unit | None = None
+    """In which the model answers; None where it learned no unit."""
     pose_alignment_steps: int = 0
     """Steps of test-time pose alignment against the target photo; 0 = none."""
     ap: ApSettings = field(default_factory=lambda: ApSettings(min_instance_area=20))
@@ -27,6 +35,20 @@ class EvaluationSettings:
     """Pixels covered no more than this belong to no predicted group."""
     baselines: bool = False
     """Also measure the simple baselines."""
+
+    def __post_init__(self):
+        if self.geometry == "given" and self.target_cameras == "aligned":
+            raise ValueError(
+                "given cameras have true targets: leave target_cameras 'aligned' out, or measure "
+                "geometry 'predicted' or 'intrinsics'"
+            )
+
+    def targets_of(self, scene: ProtocolScene) -> TargetCameras:
+        """Where the targets of a scene are rendered."""
+        if self.target_cameras != "auto":
+            return self.target_cameras
+        told = self.geometry == "intrinsics" and self.model_unit == scene.unit
+        return "true" if told or self.geometry == "given" else "aligned"
 
 
 @dataclass(frozen=True)
@@ -44,6 +66,8 @@ class EvaluationReport:
     baselines: dict[str, Figures]
     scenes: tuple[str, ...]
     """Names; the seeds of rooms."""
+    true_targets: int
+    """Scenes whose targets were rendered at their true cameras."""
 
     @property
     def of_rooms(self) -> bool:
@@ -76,9 +100,12 @@ def evaluate(
         ValueError: There is no scene.
     """
     scores: list[SceneScore] = []
+    true_targets = 0
     baselines: dict[str, list[SceneScore]] = {}
     for scene in scenes:
-        predictions = [_predict(model, sample, settings) for sample in scene.samples]
+        targets = settings.targets_of(scene)
+        true_targets += targets == "true"
+        predictions = [_predict(model, sample, targets, settings) for sample in scene.samples]
         scores.append(_score_model(scene, predictions, settings, lpips))
         if settings.baselines:
             for name, score in _score_baselines(scene, predictions, settings, lpips).items():
@@ -97,14 +124,18 @@ def evaluate(
         levels={level: summarize([s for s in scores if s.level == level]) for level in levels},
         baselines={name: summarize(each) for name, each in baselines.items()},
         scenes=tuple(score.name for score in scores),
+        true_targets=true_targets,
     )
 
 
-def _predict(model: Model, sample: Sample, settings: EvaluationSettings) -> Prediction:
+def _predict(
+    model: Model, sample: Sample, targets: TargetCameras, settings: EvaluationSettings
+) -> Prediction:
     return predict(
         model,
         sample,
         settings.geometry,
+        target_cameras=targets,
         pose_alignment_steps=settings.pose_alignment_steps,
         alpha_min=settings.alpha_min,
     )
@@ -129,7 +160,7 @@ def _score_model(
         for sample, prediction in pairs
     ]
     geometry = ()
-    if settings.geometry == "predicted":
+    if settings.geometry != "given":
         geometry = tuple(score_geometry(sample, each.geometry) for sample, each in pairs)
     return SceneScore(
         name=scene.name,

@@ -14,6 +14,8 @@ the predicted world, and the cameras of the *context* views alone say how:
 Where cameras were given to the model all this is the identity.
 """
 
+from typing import Literal
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,6 +23,11 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.similarity import align_cameras
 from instok3d.types import Cameras
+
+TargetCameras = Literal["aligned", "true"]
+"""Where targets are rendered. true: at the true cameras as they are, so that the model must answer
+in their unit and frame, as in the paper. aligned: at the true cameras, brought into the world that
+the model predicts."""
 
 BASELINE_MIN = 1e-3
 """Shorter baselines, in either world, count as this long: then they say nothing of the scale."""

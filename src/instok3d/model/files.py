@@ -5,12 +5,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.backbones.registry import BACKBONES, build_backbone, name_of
+from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
@@ -100,6 +101,23 @@ def read_card(path: Path | str | None = None) -> dict[str, Any]:
     """
     path = _existing(path)
     return json.loads(_read_metadata(path)["card"])
+
+
+def read_unit(path: Path | str | None = None) -> Unit | None:
+    """The unit of length in which a file's model answers; None where it learned none.
+
+    Raises:
+        MissingWeightsError: There is no such file.
+        ValueError: The file is damaged or is not a model of this version, or its card names
+            another unit than this version knows.
+    """
+    unit = read_card(path).get("unit")
+    if unit not in (None, *get_args(Unit)):
+        raise ValueError(
+            f"the card of {path} says that its unit is {unit!r}; wanted one of "
+            f"{', '.join(get_args(Unit))}, or none"
+        )
+    return unit
 
 
 def file_sha256(path: Path) -> str:

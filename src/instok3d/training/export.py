@@ -55,6 +55,7 @@ def export_model(
     card = {
         "name": output.stem,
         "image_side": image_side or _image_side(checkpoint, stage),
+        "unit": config.batches.unit if stage.target_cameras == "true" else None,
         "steps": checkpoint["step"],
         "hours": round(checkpoint["elapsed_s"] / 3600, 2),
         "scenes": len(checkpoint["scene_names"]),

@@ -20,13 +20,14 @@ from instok3d.backbones.registry import build_backbone
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.geometry_errors import depth_errors
 from instok3d.evaluation.image_quality import psnr
+from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.model.pixel_gaussians import PixelGaussianConfig, PixelGaussians, PixelScene
 from instok3d.objectives.rendering import rendering_loss
 from instok3d.pictures import color_picture, contact_sheet, depth_picture, titled_rows
 from instok3d.render import render
 from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
 from instok3d.training.stages.stage import StepLoss
-from instok3d.training.stages.target_cameras import TargetCameras, cameras_of_targets
+from instok3d.training.stages.target_cameras import cameras_of_targets
 from instok3d.types import Rendering
 
 

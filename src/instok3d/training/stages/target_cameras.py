@@ -7,17 +7,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.data.sample import Sample
-from instok3d.geometry.camera_alignment import baseline_scale, cameras_in_prediction
+from instok3d.geometry.camera_alignment import (
+    TargetCameras,
+    baseline_scale,
+    cameras_in_prediction,
+)
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.similarity import depth_scale
 from instok3d.types import Cameras, Geometry, Views
 
 SHORTEST_BASELINE = 0.02
 """Scene units, true or predicted: context cameras closer together say nothing of the scale."""
-
-TargetCameras = Literal["aligned", "true"]
-"""true: the true cameras as they are, so that the model must answer in their unit and frame, as in
-the paper. aligned: the true cameras, brought into the world that the model predicts."""
 
 
 def cameras_of_targets(

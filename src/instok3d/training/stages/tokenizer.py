@@ -22,6 +22,7 @@ from instok3d.evaluation.instance_ap import (
     match_image,
     predicted_masks,
 )
+from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.model.anchors import gather_rows
 from instok3d.model.context import to_patches
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
@@ -35,7 +36,7 @@ from instok3d.training.cache.features import FeatureCache, of_backbone
 from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages.stage import StepLoss
-from instok3d.training.stages.target_cameras import TargetCameras, cameras_of_targets
+from instok3d.training.stages.target_cameras import cameras_of_targets
 from instok3d.training.stages.window_samples import window_samples
 from instok3d.types import Geometry, Rendering, TokenGroups
 
