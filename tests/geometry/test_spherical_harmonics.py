@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch.nn import functional
 
+from harmonics import harmonic
 from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.geometry.spherical_harmonics import evaluate_sh, rotate_sh, sh_basis
 
@@ -57,3 +58,12 @@ def test_other_counts_of_coefficients_are_refused():
 def test_no_gaussians_have_no_colours():
     assert evaluate_sh(torch.zeros(0, 9, 3), torch.zeros(0, 3)).shape == (0, 3)
     assert rotate_sh(torch.zeros(0, 9, 3), torch.eye(3)).shape == (0, 9, 3)
+
+
+def test_every_basis_function_is_the_published_one_with_its_sign(rng):
+    places = directions(50, rng)
+    found = sh_basis(places, 3).numpy()
+    for number in range(16):
+        expected = harmonic(number, places.numpy())
+        assert abs(found[:, number] - expected).max() < 1e-7, number
+        assert abs(expected).max() > 0.2

@@ -18,6 +18,9 @@ from instok3d.types import Cameras, Gaussians, Rendering
 
 Backend = Literal["auto", "native", "reference", "gsplat"]
 
+MAX_PIXELS = 2**26
+"""Of one picture, 8,192 x 8,192: a larger one is taken for a mistake before memory is asked for."""
+
 RENDERERS: dict[str, Callable[..., Rendering]] = {
     "native": render_native,
     "reference": render_reference,
@@ -60,7 +63,8 @@ def render(
             built and the tensors are not float64, else the PyTorch reference.
 
     Raises:
-        ValueError: Sizes that do not fit together, or an anchor index without a feature row.
+        ValueError: Sizes, devices or types that do not fit together, a picture of more than
+            MAX_PIXELS pixels, or an anchor index without a feature row.
     """
     batched = gaussians.means.ndim == 3
     _check(gaussians, cameras, anchor_features, height, width)
@@ -148,27 +152,56 @@ def _check(
         )
     if height < 1 or width < 1:
         raise ValueError(f"height and width must be at least 1, got {height} x {width}")
-    sh_degree(gaussians.sh)
-    count = gaussians.means.shape[-2]
+    if height * width > MAX_PIXELS:
+        raise ValueError(
+            f"a picture of {height} x {width} has more than {MAX_PIXELS} pixels; ask for a "
+            "smaller one"
+        )
+    count = gaussians.means.shape[-2] if gaussians.means.ndim > 1 else 0
+    coefficients = gaussians.sh.shape[-2] if gaussians.sh.ndim > 1 else 0
+    last = {
+        "means": (3,), "quats": (4,), "scales": (3,), "opacities": (),
+        "sh": (coefficients, 3), "anchor_index": (),
+    }  # fmt: skip
     for name, value in vars(gaussians).items():
-        if value.shape[: len(lead) + 1] != (*lead, count):
+        wanted = (*lead, count, *last[name])
+        if value.shape != wanted:
             raise ValueError(
-                f"gaussians.{name} has the shape {tuple(value.shape)}, but means has "
-                f"{tuple(gaussians.means.shape)}: the axes before the last must agree"
+                f"gaussians.{name} has the shape {tuple(value.shape)}, wanted {wanted}: with "
+                f"means of {tuple(gaussians.means.shape)} the axes before the last must agree"
             )
-    for name, value in vars(cameras).items():
-        if value.ndim != len(lead) + 3 or value.shape[: len(lead)] != lead:
+    sh_degree(gaussians.sh)
+    for name, side in (("cam_from_world", 4), ("intrinsics", 3)):
+        value = getattr(cameras, name)
+        fits = value.ndim == len(lead) + 3 and value.shape[: len(lead)] == lead
+        if not fits or value.shape[-2:] != (side, side):
             raise ValueError(
                 f"cameras.{name} has the shape {tuple(value.shape)}; with gaussians.means of "
-                f"{tuple(gaussians.means.shape)} it must start with {tuple(lead)} and a view axis"
+                f"{tuple(gaussians.means.shape)} it must be {tuple(lead)}, a view axis, and "
+                f"{side} x {side}"
             )
     if cameras.intrinsics.shape[-3] != cameras.cam_from_world.shape[-3]:
         raise ValueError(
             f"cameras have {cameras.intrinsics.shape[-3]} intrinsics and "
             f"{cameras.cam_from_world.shape[-3]} cam_from_world; both are one for each view"
         )
-    if anchor_features is not None and anchor_features.shape[:-2] != lead:
+    if anchor_features is not None and (
+        anchor_features.ndim < 2 or anchor_features.shape[:-2] != lead
+    ):
         raise ValueError(
             f"anchor_features have the shape {tuple(anchor_features.shape)}; the axes before the "
             f"last two must be {tuple(lead)}, as those of the gaussians"
         )
+    tensors = [*vars(gaussians).items(), *vars(cameras).items()]
+    if anchor_features is not None:
+        tensors.append(("anchor_features", anchor_features))
+    for name, value in tensors:
+        if value.device != gaussians.means.device:
+            raise ValueError(
+                f"{name} lies on {value.device}, gaussians.means on {gaussians.means.device}; "
+                "bring all tensors to one device"
+            )
+        if value.is_floating_point() == (name == "anchor_index"):
+            raise ValueError(
+                f"{name} is {value.dtype}; anchor_index must be whole numbers, all others floats"
+            )

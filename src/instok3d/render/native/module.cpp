@@ -6,6 +6,7 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
+#include <limits>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -13,6 +14,7 @@
 #include <vector>
 
 #include "rasterizer.hpp"
+#include "shapes.hpp"
 #include "team.hpp"
 
 namespace nb = nanobind;
@@ -70,10 +72,38 @@ struct Settings {
   float red, green, blue;
 };
 
+void require_int(const char* name, std::size_t length) {
+  if (length > std::size_t(std::numeric_limits<int>::max())) {
+    throw std::invalid_argument(std::string("too many ") + name + ": " + std::to_string(length));
+  }
+}
+
 Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& scales,
               const Floats<2>& opacities, const Floats<4>& sh,
               const Array<std::int64_t, 2>& anchor_index, const Floats<4>& cam_from_world,
               const Floats<4>& intrinsics, const MaybeFloats<3>& features, const Settings& s) {
+  const std::size_t scenes = means.shape(0), gaussians = means.shape(1);
+  const std::size_t views = cam_from_world.shape(1), coefficients = sh.shape(2);
+  require_shape("means", means, {scenes, gaussians, 3});
+  require_shape("quats", quats, {scenes, gaussians, 4});
+  require_shape("scales", scales, {scenes, gaussians, 3});
+  require_shape("opacities", opacities, {scenes, gaussians});
+  require_shape("sh", sh, {scenes, gaussians, coefficients, 3});
+  require_shape("anchor_index", anchor_index, {scenes, gaussians});
+  require_shape("cam_from_world", cam_from_world, {scenes, views, 4, 4});
+  require_shape("intrinsics", intrinsics, {scenes, views, 3, 3});
+  if (features) require_shape("features", *features, {scenes, features->shape(1), features->shape(2)});
+  if (coefficients != 1 && coefficients != 4 && coefficients != 9 && coefficients != 16) {
+    throw std::invalid_argument("sh must have 1, 4, 9 or 16 coefficients");
+  }
+  if (s.height < 1 || s.width < 1) throw std::invalid_argument("the picture has no pixel");
+  require_int("Gaussians", gaussians);
+  require_int("pictures", scenes * views);
+  require_int("pixels", std::size_t(s.height) * std::size_t(s.width));
+  if (features) {
+    require_int("anchors", features->shape(1));
+    require_int("channels", features->shape(2));
+  }
   Inputs in;
   in.scenes = static_cast<int>(means.shape(0));
   in.gaussians = static_cast<int>(means.shape(1));
@@ -102,6 +132,14 @@ Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& s
   in.background[1] = s.green;
   in.background[2] = s.blue;
   return in;
+}
+
+// A frame holds the lists of what was drawn: other inputs would be read beyond their end.
+void require_frame(const Frame& frame, const Inputs& in) {
+  bool fits = frame.pictures.size() == std::size_t(in.pictures()) &&
+              frame.slots.size() == std::size_t(in.pictures()) * in.tiles_x() * in.tiles_y();
+  for (const Bins& bins : frame.pictures) fits = fits && bins.gaussians() == in.gaussians;
+  if (!fits) throw std::invalid_argument("the frame was drawn from inputs of other sizes");
 }
 
 template <class T>
@@ -148,6 +186,26 @@ nb::tuple backward(const Frame& frame, const Floats<3>& means, const Floats<3>& 
   const Inputs in = inputs(means, quats, scales, opacities, sh, anchor_index, cam_from_world,
                            intrinsics, features, s);
   const Kernels& kernels = kernels_named(instruction_set);
+  require_frame(frame, in);
+  const auto require_images = [&](const char* name, const auto& array, std::size_t channels) {
+    require_shape(name, array, {std::size_t(in.scenes), std::size_t(in.views), channels,
+                                std::size_t(in.height), std::size_t(in.width)});
+  };
+  const auto require_planes = [&](const char* name, const auto& array) {
+    require_shape(name, array, {std::size_t(in.scenes), std::size_t(in.views),
+                                std::size_t(in.height), std::size_t(in.width)});
+  };
+  require_images("colors", colors, 3);
+  require_planes("alphas", alphas);
+  require_planes("depths", depths);
+  if (maps) require_images("maps", *maps, in.channels);
+  if (color_grads) require_images("color_grads", *color_grads, 3);
+  if (alpha_grads) require_planes("alpha_grads", *alpha_grads);
+  if (depth_grads) require_planes("depth_grads", *depth_grads);
+  if (map_grads) require_images("map_grads", *map_grads, in.channels);
+  if (bool(maps) != bool(features)) {
+    throw std::invalid_argument("maps and features belong together");
+  }
   const ConstImages images = {colors.data(), alphas.data(), depths.data(), pointer(maps)};
   const ConstImages grads = {pointer(color_grads), pointer(alpha_grads), pointer(depth_grads),
                              pointer(map_grads)};

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <exception>
+#include <mutex>
 
 #if defined(__unix__) || defined(__APPLE__)
 #include <pthread.h>
@@ -11,7 +12,7 @@
 #include <omp.h>
 #else
 #include <condition_variable>
-#include <mutex>
+#include <system_error>
 #include <thread>
 #endif
 
@@ -23,25 +24,38 @@ std::atomic<bool> forked{false};
 struct Progress {
   std::atomic<std::int64_t> next{0};
   std::int64_t tasks = 0;
+  // An exception that left a thread of the team would end the process: the first one is kept.
+  std::atomic<bool> failed{false};
+  std::mutex mutex;
   std::exception_ptr error;
+
+  void keep_exception() {
+    const std::lock_guard<std::mutex> lock(mutex);
+    if (!error) error = std::current_exception();
+    failed = true;
+  }
 };
 
 void begin(const Stage& stage, Progress& progress) {
   progress.tasks = 0;
   progress.next.store(0, std::memory_order_relaxed);
-  if (progress.error) return;
+  if (progress.failed) return;
   try {
     progress.tasks = stage.prepare();
   } catch (...) {
-    progress.error = std::current_exception();
+    progress.keep_exception();
   }
 }
 
 void work(const Stage& stage, Progress& progress, int thread) {
-  for (;;) {
-    const std::int64_t task = progress.next.fetch_add(1, std::memory_order_relaxed);
-    if (task >= progress.tasks) return;
-    stage.run(task, thread);
+  try {
+    while (!progress.failed) {
+      const std::int64_t task = progress.next.fetch_add(1, std::memory_order_relaxed);
+      if (task >= progress.tasks) return;
+      stage.run(task, thread);
+    }
+  } catch (...) {
+    progress.keep_exception();
   }
 }
 
@@ -65,6 +79,11 @@ void run_team(int threads, const std::vector<Stage>& stages, Progress& progress)
 class Barrier {
  public:
   explicit Barrier(int size) : size_(size) {}
+  // For a team that came out smaller than wanted; called before the caller first waits.
+  void resize(int size) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    size_ = size;
+  }
   void wait() {
     std::unique_lock<std::mutex> lock(mutex_);
     const int round = round_;
@@ -94,7 +113,12 @@ void run_team(int threads, const std::vector<Stage>& stages, Progress& progress)
     }
   };
   std::vector<std::thread> others;
-  for (int thread = 1; thread < threads; ++thread) others.emplace_back(member, thread);
+  others.reserve(threads - 1);
+  try {
+    for (int thread = 1; thread < threads; ++thread) others.emplace_back(member, thread);
+  } catch (const std::system_error&) {  // the system has no more threads: fewer do it, too
+    barrier.resize(1 + static_cast<int>(others.size()));
+  }
   member(0);
   for (std::thread& other : others) other.join();
 }

@@ -14,7 +14,8 @@ struct Stage {
   std::function<void(std::int64_t task, int thread)> run;
 };
 
-// Runs the stages on up to `threads` threads. What is thrown in a `prepare` is thrown again here.
+// Runs the stages on up to `threads` threads. The first exception of a `prepare` or a task is thrown
+// again here, once all threads have stopped; tasks that had not begun are left out.
 void run_stages(int threads, const std::vector<Stage>& stages);
 
 // 1 in a forked child: a pool of threads does not survive a fork and would wait for ever.

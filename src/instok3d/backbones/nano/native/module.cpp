@@ -3,6 +3,7 @@
 #include <nanobind/ndarray.h>
 
 #include "alignment.hpp"
+#include "shapes.hpp"
 
 namespace nb = nanobind;
 
@@ -20,8 +21,20 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
                   const Results<4>& precision, float nearest, float largest_warp,
                   float start_reach, float peak_reach, float nearest_error, float color_noise,
                   float shared, int iterations, int threads) {
-  if (window.shape(0) != PATCH || window.shape(1) != PATCH) {
-    throw nb::value_error("the window of a patch has another size than the kernels'");
+  const std::size_t scenes = photos.shape(0), cells = centers.shape(0);
+  require_shape("photos", photos, {scenes, 3, photos.shape(2), photos.shape(3)});
+  require_shape("own_photos", own_photos, {scenes, 3, own_photos.shape(2), own_photos.shape(3)});
+  require_shape("centers", centers, {cells, 2});
+  require_shape("depths", depths, {scenes, cells});
+  require_shape("peaks", peaks, {scenes, cells, 2});
+  require_shape("warps", warps, {scenes, 3, 3});
+  require_shape("shifts", shifts, {scenes, 3});
+  require_shape("window", window, {PATCH, PATCH});
+  require_shape("pixels", pixels, {scenes, cells, 2});
+  require_shape("precision", precision, {scenes, cells, 2, 2});
+  if (photos.size() == 0 || own_photos.size() == 0) {
+    if (scenes * cells == 0) return;
+    throw std::invalid_argument("a photo has no pixel");
   }
   AlignmentInputs in;
   in.scenes = int(photos.shape(0));

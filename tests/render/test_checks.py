@@ -1,0 +1,128 @@
+"""What `render` and the kernels refuse: sizes that would be read beyond the end of an array."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from instok3d.render import api, render
+from instok3d.render.native_backend import _rasterizer
+from instok3d.types import Cameras, Gaussians
+
+
+def unchecked(stage: Gaussians | Cameras, name: str, value: torch.Tensor) -> Gaussians | Cameras:
+    """The stage with another field, past the checks of the types, which only run in tests."""
+    changed = replace(stage)
+    object.__setattr__(changed, name, value)
+    return changed
+
+
+LAST_AXES = {
+    "means": (3, [0, 2, 4]), "quats": (4, [0, 3, 5]), "scales": (3, [0, 2, 4]),
+    "sh": (3, [0, 1, 4]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "length"), [(n, k) for n, (_, ks) in LAST_AXES.items() for k in ks]
+)
+def test_a_wrong_last_axis_is_refused_by_name(make_scene, name: str, length: int):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    old = getattr(gaussians, name)
+    wrong = unchecked(gaussians, name, torch.zeros(*old.shape[:-1], length))
+    with pytest.raises(ValueError, match=rf"gaussians\.{name} has the shape .*wanted"):
+        render(wrong, cameras, 8, 8)
+
+
+@pytest.mark.parametrize("name", ["opacities", "anchor_index"])
+def test_an_axis_too_many_is_refused(make_scene, name: str):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    wrong = unchecked(gaussians, name, getattr(gaussians, name)[:, None])
+    with pytest.raises(
+        ValueError, match=rf"gaussians\.{name} has the shape \(5, 1\), wanted \(5,\)"
+    ):
+        render(wrong, cameras, 8, 8)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("cam_from_world", (2, 3, 4)), ("intrinsics", (2, 3, 4))]
+)
+def test_cameras_of_another_shape_are_refused(make_scene, name: str, shape: tuple[int, ...]):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    with pytest.raises(ValueError, match=rf"cameras\.{name} has the shape \(2, 3, 4\)"):
+        render(gaussians, unchecked(cameras, name, torch.zeros(shape)), 8, 8)
+
+
+def test_types_and_devices_that_differ_are_refused(make_scene):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    with pytest.raises(ValueError, match=r"anchor_index is torch\.float32"):
+        render(unchecked(gaussians, "anchor_index", torch.zeros(5)), cameras, 8, 8)
+    with pytest.raises(ValueError, match=r"scales is torch\.int64"):
+        render(unchecked(gaussians, "scales", torch.ones(5, 3, dtype=torch.long)), cameras, 8, 8)
+    with pytest.raises(ValueError, match=r"quats lies on meta, gaussians\.means on cpu"):
+        render(replace(gaussians, quats=gaussians.quats.to("meta")), cameras, 8, 8)
+
+
+def test_a_picture_that_no_memory_holds_is_refused_before_any_is_asked_for(make_scene):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    with pytest.raises(ValueError, match="more than 67108864 pixels"):
+        render(gaussians, cameras, api.MAX_PIXELS, 2)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+@pytest.mark.parametrize("views", [0, 2])
+def test_no_gaussians_and_no_views_are_pictures_of_nothing(make_scene, count: int, views: int):
+    gaussians, cameras = make_scene(count=count, views=views, dtype=torch.float32)
+    for backend in ("native", "reference"):
+        pictures = render(gaussians, cameras, 6, 8, backend=backend)
+        assert pictures.colors.shape == (views, 3, 6, 8)
+        assert count or not pictures.alphas.any()
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+@pytest.mark.parametrize("position", range(9))
+def test_the_kernels_themselves_refuse_arrays_of_other_sizes(make_scene, position: int):
+    gaussians, cameras = make_scene(batch=1, count=5, dtype=torch.float32)
+    arrays = [
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics, torch.zeros(1, 7, 2),
+    ]  # fmt: skip
+    settings = _rasterizer.Settings(8, 8, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0)
+    _, *images = _rasterizer.forward(*arrays, settings, "auto", 1)
+    assert images[0].shape == (1, 2, 3, 8, 8)
+    # Of one scene fewer than the others: every array has a first axis of scenes.
+    wrong = [array[:0] if k == position else array for k, array in enumerate(arrays)]
+    with pytest.raises(ValueError, match="has the shape"):
+        _rasterizer.forward(*wrong, settings, "auto", 1)
+    cut = [a[..., :1].contiguous() if k == position else a for k, a in enumerate(arrays)]
+    if position not in (3, 5, 8):  # their last axis is that of Gaussians, or may have any length
+        with pytest.raises(ValueError, match="has the shape"):
+            _rasterizer.forward(*cut, settings, "auto", 1)
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+def test_a_frame_of_another_scene_is_refused_in_the_backward_pass(make_scene):
+    def arrays(count: int, size: int) -> tuple[list, object]:
+        gaussians, cameras = make_scene(batch=1, count=count, dtype=torch.float32)
+        settings = _rasterizer.Settings(
+            size, size, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0
+        )
+        return [
+            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+            gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics, None,
+        ], settings  # fmt: skip
+
+    inputs, settings = arrays(5, 8)
+    frame, *images = _rasterizer.forward(*inputs, settings, "auto", 1)
+    gradient = torch.ones(1, 2, 3, 8, 8)
+    for other in (arrays(6, 8), arrays(5, 80)):
+        drawn = _rasterizer.forward(*other[0], other[1], "auto", 1)[1:]
+        with pytest.raises(ValueError, match="the frame was drawn from inputs of other sizes"):
+            _rasterizer.backward(
+                frame, *other[0], other[1], *drawn, gradient, None, None, None, "auto", 1
+            )
+    with pytest.raises(ValueError, match=r"color_grads has the shape \(1, 2, 3, 4, 8\)"):
+        _rasterizer.backward(
+            frame, *inputs, settings, *images, gradient[..., :4, :].contiguous(), None, None, None,
+            "auto", 1,
+        )  # fmt: skip
