@@ -9,7 +9,7 @@ import torch
 from safetensors import safe_open
 
 from instok3d import files, renames
-from instok3d.files import replacing, replacing_folder, write_json, write_safetensors
+from instok3d.files import replacing, replacing_folder, sha256_of, write_json, write_safetensors
 from instok3d.locking import bring_back
 from kill_points import every_kill
 
@@ -208,3 +208,9 @@ def test_a_name_as_long_as_names_can_be_is_written(tmp_path: Path):
     with replacing(target) as part:
         part.write_text("text")
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_sha256_of_abc(tmp_path):
+    (tmp_path / "abc").write_bytes(b"abc")
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert sha256_of(tmp_path / "abc") == digest

@@ -1,5 +1,6 @@
 """Writing files and folders so that a reader sees the old or the new one, never half of either."""
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -92,6 +93,12 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -18,7 +18,7 @@ from instok3d.datasets.prepared import (
     verify,
     write_scene,
 )
-from instok3d.datasets.prepared.format import sha256_of
+from instok3d.files import sha256_of
 from kill_points import die_in
 from prepared_scenes import made_folder, made_frame
 

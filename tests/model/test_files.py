@@ -11,7 +11,6 @@ from instok3d.backbones.registry import BACKBONES, BackboneKind
 from instok3d.model import files
 from instok3d.model.files import (
     MissingWeightsError,
-    file_sha256,
     load_model,
     read_card,
     save_model,
@@ -119,12 +118,6 @@ def test_a_weight_that_is_not_finite_is_never_written(model, tmp_path):
     with pytest.raises(ValueError, match=r"log_temperature is not finite in float16"):
         save_model(model, tmp_path / "model.safetensors", card={})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_sha256_of_abc(tmp_path):
-    (tmp_path / "abc").write_bytes(b"abc")
-    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-    assert file_sha256(tmp_path / "abc") == digest
 
 
 def test_a_file_from_before_a_size_was_there_means_what_it_was_made_with(model, tmp_path):

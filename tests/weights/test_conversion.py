@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from instok3d.weights.cache import sha256_of
+from instok3d.files import sha256_of
 from instok3d.weights.conversion import convert_checkpoint, convert_here, tensor_levels
 from instok3d.weights.writing import write_tensors
 

@@ -97,12 +97,13 @@ def _count(views: int) -> str:
 
 
 def _model() -> Finding:
-    from instok3d.model.files import DEFAULT_MODEL, file_sha256
+    from instok3d.files import sha256_of
+    from instok3d.model.files import DEFAULT_MODEL
 
     if not DEFAULT_MODEL.is_file():
         return Finding("default model", f"missing: reinstall, no {DEFAULT_MODEL}", False)
     size = DEFAULT_MODEL.stat().st_size / 1e6
-    return Finding("default model", f"{size:.1f} MB, sha256 {file_sha256(DEFAULT_MODEL)}", True)
+    return Finding("default model", f"{size:.1f} MB, sha256 {sha256_of(DEFAULT_MODEL)}", True)
 
 
 def _extras() -> list[Finding]:

@@ -80,7 +80,8 @@ def run(
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.report import as_json, as_table
     from instok3d.evaluation.run import EvaluationSettings, evaluate
-    from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_unit
+    from instok3d.files import sha256_of
+    from instok3d.model.files import DEFAULT_MODEL, load_model, read_unit
     from instok3d.objectives.lpips import load_lpips
 
     if pose_alignment_steps < 0:
@@ -118,7 +119,7 @@ def run(
             asked,
             settings,
             protocol=protocol,
-            model_name=f"{file.name} sha256:{file_sha256(file)[:12]}",
+            model_name=f"{file.name} sha256:{sha256_of(file)[:12]}",
             lpips=distance,
             on_scene=on_scene,
         )

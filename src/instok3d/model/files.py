@@ -1,6 +1,5 @@
 """Models on disk: one safetensors file with the weights, the sizes and the card."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
@@ -118,12 +117,6 @@ def read_unit(path: Path | str | None = None) -> Unit | None:
             f"{', '.join(get_args(Unit))}, or none"
         )
     return unit
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _existing(path: Path | str | None) -> Path:

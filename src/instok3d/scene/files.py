@@ -23,10 +23,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from instok3d.files import replacing_folder, write_safetensors
+from instok3d.files import replacing_folder, sha256_of, write_safetensors
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
-from instok3d.model.files import file_sha256
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
@@ -72,7 +71,7 @@ def save_record(
             write_safetensors(part / name, vars(stage))
         _write_json(part / "cameras.json", _cameras_json(scene))
         _write_json(part / "objects.json", [item.to_json() for item in scene.objects])
-        digests = {name: file_sha256(part / name) for name in sorted(TENSOR_FILES)}
+        digests = {name: sha256_of(part / name) for name in sorted(TENSOR_FILES)}
         _write_json(part / "scene.json", _scene_json(scene, digests))
 
 
@@ -239,7 +238,7 @@ def _read_tensors(file: Path, digests: dict[str, str], kind: type) -> dict[str, 
     """The tensors of one file: all that `kind` has, finite, of the right type, whole."""
     if not file.is_file():
         raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
-    if file_sha256(file) != digests[file.name]:
+    if sha256_of(file) != digests[file.name]:
         raise ValueError(f"{file} is damaged: it is not the file that scene.json was written for")
     try:
         tensors = load_file(file)

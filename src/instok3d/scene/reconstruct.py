@@ -9,7 +9,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from instok3d import __version__
-from instok3d.model.files import DEFAULT_MODEL, file_sha256, load_model, read_card, read_sizes
+from instok3d.files import sha256_of
+from instok3d.model.files import DEFAULT_MODEL, load_model, read_card, read_sizes
 from instok3d.model.memory import Work, check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.photos.loading import PhotoSet, read_photos
@@ -98,7 +99,7 @@ def reconstruct(
         provenance=Provenance(
             generator=f"instok3d {__version__}",
             model="in memory" if in_memory else str(card.get("name", file.stem)),
-            model_sha256="" if in_memory else file_sha256(file),
+            model_sha256="" if in_memory else sha256_of(file),
             seed=seed,
         ),
         cam_from_world=None if given is None else given[0],

@@ -1,6 +1,5 @@
 """The folder where weights lie on this machine, and whether they are what they should be."""
 
-import hashlib
 import json
 import os
 import warnings
@@ -9,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from instok3d.errors import MissingWeightsError
-from instok3d.files import write_json
+from instok3d.files import sha256_of, write_json
 from instok3d.weights.catalogue import (
     HubFiles,
     PackageFile,
@@ -144,12 +143,6 @@ def read_record(path: Path) -> Record | None:
 def record_place(path: Path) -> Path:
     """Where the record of a file stands."""
     return path.with_name(path.name + ".record.json")
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _write_record(path: Path, record: Record) -> None:

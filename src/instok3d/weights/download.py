@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from instok3d.errors import MissingWeightsError
-from instok3d.files import replacing
-from instok3d.weights.cache import by_hand, check_file, place_of, sha256_of
+from instok3d.files import replacing, sha256_of
+from instok3d.weights.cache import by_hand, check_file, place_of
 from instok3d.weights.catalogue import HubFiles, PackageFile, WeightsEntry
 
 

@@ -1,6 +1,5 @@
 """What a prepared scene consists of, and the scene.json that says so."""
 
-import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -146,12 +145,6 @@ def read_json(path: Path, wanted: str, remedy: str) -> dict[str, Any]:
     if not isinstance(value, dict) or value.get("format") != wanted:
         raise ValueError(f"{path} is not of the format {wanted}; {remedy}")
     return value
-
-
-def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _matrices(rows: list[Any], size: int) -> np.ndarray | None:

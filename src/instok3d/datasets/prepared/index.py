@@ -1,11 +1,10 @@
 """The index of a prepared folder; it only repeats what the scenes say."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
 from instok3d.datasets.prepared.format import RECORD, read_json, read_scene
-from instok3d.files import write_json
+from instok3d.files import sha256_of, write_json
 
 INDEX_FORMAT = "instok3d-scenes-1"
 INDEX = "scenes.json"
@@ -28,7 +27,7 @@ def refresh_index(folder: Path) -> dict[str, Any]:
         known = {}  # everything in it is derived from the folders
     scenes, datasets = {}, set()
     for scene in scene_folders(folder):
-        sha256 = hashlib.sha256((scene / RECORD).read_bytes()).hexdigest()
+        sha256 = sha256_of(scene / RECORD)
         entry = known.get(scene.name)
         if not (isinstance(entry, dict) and entry.get("sha256") == sha256 and "dataset" in entry):
             record = read_scene(scene)

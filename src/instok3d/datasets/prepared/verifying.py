@@ -4,9 +4,10 @@ from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-from instok3d.datasets.prepared.format import RECORD, read_scene, sha256_of
+from instok3d.datasets.prepared.format import RECORD, read_scene
 from instok3d.datasets.prepared.index import INDEX, read_index, scene_folders
 from instok3d.datasets.prepared.masks import MASKS_RECORD, read_masks_record
+from instok3d.files import sha256_of
 
 UNFINISHED = (".part", ".old")
 """The second is of earlier versions."""

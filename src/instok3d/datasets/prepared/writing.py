@@ -17,9 +17,8 @@ from instok3d.datasets.prepared.format import (
     SceneInfo,
     SceneRecord,
     read_scene,
-    sha256_of,
 )
-from instok3d.files import replacing_folder, write_json
+from instok3d.files import replacing_folder, sha256_of, write_json
 
 
 def write_scene(

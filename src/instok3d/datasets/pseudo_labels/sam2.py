@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from instok3d.datasets.prepared.format import sha256_of
 from instok3d.datasets.pseudo_labels.automatic import (
     AutomaticConfig,
     AutomaticMasks,
@@ -26,6 +25,7 @@ from instok3d.datasets.pseudo_labels.automatic import (
     at_size,
 )
 from instok3d.datasets.pseudo_labels.interfaces import ProposedMasks, TrackedMask
+from instok3d.files import sha256_of
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"

@@ -12,7 +12,6 @@ from PIL import Image, ImageOps
 
 from instok3d import __version__
 from instok3d.datasets.prepared import read_scene
-from instok3d.datasets.prepared.format import sha256_of
 from instok3d.datasets.prepared.masks import MASKS_FORMAT, MASKS_RECORD, read_masks_record
 from instok3d.datasets.pseudo_labels.association import AssociationConfig, label_clip
 from instok3d.datasets.pseudo_labels.interfaces import MaskProposer, MaskTracker
@@ -21,7 +20,7 @@ from instok3d.datasets.pseudo_labels.statistics import (
     StatisticsConfig,
     StatisticsOfClip,
 )
-from instok3d.files import replacing_folder, write_json
+from instok3d.files import replacing_folder, sha256_of, write_json
 from instok3d.locking import alone_in
 
 

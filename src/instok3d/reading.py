@@ -1,0 +1,137 @@
+"""Reading files that may be damaged: JSON of sound values alone, and one error for all damage."""
+
+import errno
+import json
+import pickle
+import reprlib
+import struct
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+
+UNREADABLE = (
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError),
+    *(AssertionError, EOFError, SyntaxError, OSError, struct.error, zlib.error, tarfile.TarError),
+    *(zipfile.BadZipFile, pickle.UnpicklingError, SafetensorError),
+)
+"""What decoders raise for damaged files."""
+
+
+@contextmanager
+def naming_damage(what: object, remedy: str) -> Iterator[None]:
+    """Whatever a decoder raises in the block becomes a ValueError that names the file.
+
+    Errors of the system, such as a missing permission, stay what they are.
+
+    Args:
+        what: The file, and the place in it.
+        remedy: What to do about it.
+    """
+    try:
+        yield
+    except UNREADABLE as error:
+        # The system's EINVAL comes from places in the file that cannot be.
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            raise
+        raise ValueError(f"{what} is damaged ({reason_of(error)}); {remedy}") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """What an error of a decoder says, in one line of at most 300 characters."""
+    words = " ".join(str(error).split())
+    if isinstance(error, KeyError):
+        words = f"it lacks {words}"
+    return words[:300] or type(error).__name__
+
+
+def read_json(path: Path, remedy: str) -> Any:
+    """The value of a JSON file; numbers are finite and of 64 bits, a key stands once.
+
+    Args:
+        path: The file, in UTF-8 with or without a byte order mark.
+        remedy: What to do about a damaged one.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or holds what JSON cannot.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"there is no file {path}") from error
+    return parse_json(data, path, remedy)
+
+
+def parse_json(data: bytes | str, what: object, remedy: str) -> Any:
+    """The value of JSON text, as `read_json` reads it.
+
+    Args:
+        data: The text, or its bytes in UTF-8.
+        what: Where it comes from.
+        remedy: What to do if it is damaged.
+
+    Raises:
+        ValueError: It is damaged, or holds what JSON cannot.
+    """
+    with naming_damage(what, remedy):
+        text = data if isinstance(data, str) else data.decode("utf-8-sig")
+        value = json.loads(
+            text,
+            parse_int=_integer,
+            parse_float=_finite,
+            parse_constant=_finite,
+            object_pairs_hook=_without_doubled_keys,
+        )
+        if "\\ud" in text.lower():  # half a character, which can be neither printed nor a name
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
+
+
+def whole_number(value: Any, least: int = 0, most: int = 2**63 - 1) -> int:
+    """A value of JSON that is a whole number within bounds.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    if type(value) is not int or not least <= value <= most:
+        raise ValueError(f"{reprlib.repr(value)} is no whole number from {least} to {most}")
+    return value
+
+
+def number(value: Any) -> float:
+    """A value of JSON that is a number.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    if type(value) not in (int, float):
+        raise ValueError(f"{reprlib.repr(value)} is no number")
+    return float(value)
+
+
+def _integer(text: str) -> int:
+    if len(text) > 20 or not -(2**63) <= int(text) < 2**63:
+        raise ValueError(f"the number {text[:20]}... is too large")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if value - value != 0:
+        raise ValueError(f"the number {text[:20]} is not finite")
+    return value
+
+
+def _without_doubled_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        keys = [key for key, _ in pairs]
+        doubled = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {reprlib.repr(doubled)} stands twice in one object")
+    return value
