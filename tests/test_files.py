@@ -1,4 +1,5 @@
 import json
+import os
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -181,6 +182,16 @@ def test_of_two_writers_of_a_new_name_the_second_is_refused(
     assert (tmp_path / "scene" / "a.txt").read_text() == "first"
     assert (tmp_path / "a.txt").read_text() == "first"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "scene"]
+
+
+def test_only_files_and_folders_are_replaced(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").write_text("mine")
+    for name, writer in (("pipe", replacing), ("pipe", replacing_folder),
+                         ("file", replacing_folder)):  # fmt: skip
+        with pytest.raises(FileExistsError, match="will not be replaced"), writer(tmp_path / name):
+            pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "pipe"]
 
 
 def test_a_second_ctrl_c_leaves_nothing_behind_either(

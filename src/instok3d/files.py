@@ -28,8 +28,10 @@ def replacing(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         overwrite: Replace a file that is there by the end of the block.
 
     Raises:
-        FileExistsError: A file is there, and overwrite is off.
+        FileExistsError: A file is there, and overwrite is off; or it is a device or the like.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FileExistsError(f"{path} is no regular file and will not be replaced")
     with workplace(path) as place:
         part = _new(place) / path.name
         yield part
@@ -54,8 +56,10 @@ def replacing_folder(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         overwrite: Replace a folder that is there by the end of the block.
 
     Raises:
-        FileExistsError: Something is there, and overwrite is off.
+        FileExistsError: Something is there, and overwrite is off or it is no folder.
     """
+    if path.exists() and not path.is_dir():
+        raise FileExistsError(f"{path} is no folder and will not be replaced")
     with _naming_full_disk(path), workplace(path) as place:
         part = _new(place) / path.name
         part.mkdir()
