@@ -9,6 +9,9 @@
 #ifdef __linux__
 #include <sys/mman.h>
 #endif
+#ifdef _WIN32
+#include <malloc.h>
+#endif
 
 namespace instok3d {
 namespace {
@@ -37,13 +40,26 @@ std::size_t rounded(std::size_t bytes) {
 
 void* allocate(std::size_t bytes) {
   const std::size_t alignment = bytes >= 2 * HUGE_PAGE ? HUGE_PAGE : 64;
-  void* data = std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment);
+  const std::size_t whole = (bytes + alignment - 1) / alignment * alignment;
+#ifdef _WIN32
+  void* data = _aligned_malloc(whole, alignment);
+#else
+  void* data = std::aligned_alloc(alignment, whole);
+#endif
   if (!data) throw std::bad_alloc();
 #ifdef __linux__
   // Planes of an image are a page or more apart: without large pages each tile walks hundreds.
   if (alignment == HUGE_PAGE) madvise(data, bytes, MADV_HUGEPAGE);
 #endif
   return data;
+}
+
+void release(void* data) {
+#ifdef _WIN32
+  _aligned_free(data);
+#else
+  std::free(data);
+#endif
 }
 
 }  // namespace
@@ -66,7 +82,7 @@ Buffer::~Buffer() {
   if (!data_) return;
   const std::lock_guard<std::mutex> lock(pool().mutex);
   if (pool().kept + bytes_ > MAX_KEPT) {
-    std::free(data_);
+    release(data_);
   } else {
     pool().free[bytes_].push_back(data_);
     pool().kept += bytes_;

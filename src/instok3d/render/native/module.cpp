@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "processor.hpp"
 #include "rasterizer.hpp"
 #include "shapes.hpp"
 #include "team.hpp"
@@ -34,15 +35,8 @@ using Output = nb::ndarray<nb::pytorch, float, nb::c_contig, nb::device::cpu>;
 std::vector<const Kernels*> usable_kernels() {
   std::vector<const Kernels*> result;
 #ifdef INSTOK3D_X86
-  __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
-      __builtin_cpu_supports("fma")) {
-    result.push_back(&avx512_kernels);
-  }
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-    result.push_back(&avx2_kernels);
-  }
+  if (has_avx512()) result.push_back(&avx512_kernels);
+  if (has_avx2_and_fma()) result.push_back(&avx2_kernels);
 #endif
   result.push_back(&portable_kernels);
   return result;
