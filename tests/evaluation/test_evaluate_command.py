@@ -8,7 +8,6 @@ import torch
 from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
-from instok3d.cli.evaluate import _short
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
 from instok3d.evaluation.report import KEYS
 from instok3d.files import write_json
@@ -132,10 +131,3 @@ def test_bad_input_is_one_sentence_and_an_exit_code(folder, capsys, more, code, 
     said = capsys.readouterr()
     assert message in said.err
     assert said.out == ""
-
-
-@pytest.mark.parametrize(
-    ("commit", "short"), [("0123456789ab", "012345678"), ("0123456789ab+", "012345678+")]
-)
-def test_a_changed_tree_is_told_from_its_commit(commit: str, short: str):
-    assert _short(commit) == short

@@ -11,9 +11,9 @@ from importlib import import_module
 
 import tyro
 
-from instok3d import __version__
 from instok3d.cli.signals import EndedBySignal, orderly_end
 from instok3d.errors import MissingWeightsError
+from instok3d.version import generator
 
 COMMANDS = {
     "demo": "reconstruct the photos that come with the package",
@@ -94,7 +94,7 @@ def exit_code(error: Exception) -> int | None:
 
 def _dispatch(words: list[str]) -> int:
     if words[:1] == ["--version"]:
-        print(f"instok3d {__version__}")
+        print(generator())
         return OK
     if not _names_one(words, COMMANDS):
         return _show_commands(words, "instok3d", ABOUT, COMMANDS)

@@ -130,12 +130,12 @@ def run(
     elif markdown:
         from instok3d.evaluation.report import results_header, results_rows
         from instok3d.model.files import read_card
-        from instok3d.training.checkpoint import current_commit
+        from instok3d.version import current_commit, short
 
         rows = results_rows(
             report,
             command=" ".join(["instok3d", *sys.argv[1:]]),
-            commit=_short(current_commit()),
+            commit=short(current_commit()),
             seed=read_card(model).get("config", {}).get("seed"),
             machine=_machine(),
         )
@@ -217,11 +217,6 @@ def _save_sheets(
     for number, (sample, prediction) in enumerate(zip(scene.samples, predictions, strict=True)):
         name = f"{protocol}_{kind}{scene.name}_{number}.png"
         write_sheet(folder / name, sample, prediction)
-
-
-def _short(commit: str) -> str:
-    """Nine digits of a commit, and the sign that the tree was changed since."""
-    return commit[:9] + "+" * commit.endswith("+")
 
 
 def _machine() -> str:

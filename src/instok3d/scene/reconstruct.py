@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from instok3d import __version__
 from instok3d.files import sha256_of
 from instok3d.model.files import DEFAULT_MODEL, load_model, read_card, read_sizes
 from instok3d.model.memory import Work, check_memory
@@ -17,6 +16,7 @@ from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.scene.from_tokens import scene_from_tokens
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
+from instok3d.version import generator
 
 TRAINED_ON_ROOMS = (
     "the default model was trained on rendered rooms alone: its results on real photos are poor"
@@ -97,7 +97,7 @@ def reconstruct(
         _bytes(photo_set.views.images[0]),
         _scene_views(photo_set),
         provenance=Provenance(
-            generator=f"instok3d {__version__}",
+            generator=generator(),
             model="in memory" if in_memory else str(card.get("name", file.stem)),
             model_sha256="" if in_memory else sha256_of(file),
             seed=seed,

@@ -7,13 +7,11 @@ number of processes or another strategy.
 import json
 import pickle
 import random
-import subprocess
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from torch import Tensor, nn
 
 from instok3d.files import replacing
 from instok3d.training.distributed import ALONE, Processes, local, sharded_like, whole
+from instok3d.version import current_commit
 
 KEPT = 2
 """Checkpoints that stay: should the newest be torn, the one before it takes over."""
@@ -237,19 +236,6 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         return {name: tensor.float() for name, tensor in load_file(path).items()}
     except SafetensorError as error:
         raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
-
-
-@cache
-def current_commit() -> str:
-    """The commit of this source tree, "+" if it was changed since, "unknown" outside git."""
-    command = ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"]
-    try:
-        found = subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return found.stdout.strip()
 
 
 def _random_state() -> dict[str, Any]:

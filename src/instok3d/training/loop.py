@@ -22,7 +22,6 @@ from instok3d.files import replacing
 from instok3d.locking import alone_in, remove_leftovers
 from instok3d.training.checkpoint import (
     RunState,
-    current_commit,
     has_checkpoint,
     read_checkpoint,
     read_weights,
@@ -38,6 +37,7 @@ from instok3d.training.run_log import RunLog, RunningMeans
 from instok3d.training.schedule import learning_rate
 from instok3d.training.stages.stage import Stage
 from instok3d.training.update import new_state, train_step
+from instok3d.version import current_commit
 
 LOCK = ".lock"
 """Held by the process that writes a run's folder."""

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
-from instok3d import __version__
 from instok3d.datasets.prepared import read_scene
 from instok3d.datasets.prepared.masks import MASKS_FORMAT, MASKS_RECORD, read_masks_record
 from instok3d.datasets.pseudo_labels.association import AssociationConfig, label_clip
@@ -22,6 +21,7 @@ from instok3d.datasets.pseudo_labels.statistics import (
 )
 from instok3d.files import replacing_folder, sha256_of, write_json
 from instok3d.locking import alone_in
+from instok3d.version import generator
 
 
 @runtime_checkable
@@ -148,7 +148,7 @@ def _label(
         _warn_of_nothing(clip, result)
         write_json(
             part / MASKS_RECORD,
-            {"format": MASKS_FORMAT, **settings, "instok3d": __version__,
+            {"format": MASKS_FORMAT, **settings, "instok3d": generator(),
              "statistics": asdict(result), "files": files},
         )  # fmt: skip
     return Labelled(clip.target, result, "made")
