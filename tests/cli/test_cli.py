@@ -12,7 +12,6 @@ from PIL import Image
 
 import instok3d
 from instok3d.cli import exit_code, main
-from instok3d.model.files import DEFAULT_MODEL
 from instok3d.scene.ply import read_ply
 from instok3d.scene.scene import Scene
 from made_model import made_model, made_photos
@@ -367,15 +366,6 @@ def test_what_another_run_has_written_meanwhile_is_kept(
     assert main([*words, room, "-o", str(output)]) == 2
     assert "has come to be there meanwhile" in capsys.readouterr().err
     assert (output if output.suffix else output / "001.png").read_text() == "mine"
-
-
-def test_doctor_reports(capsys: pytest.CaptureFixture[str]):
-    code = 0 if DEFAULT_MODEL.is_file() else 4
-    assert main(["doctor", "--json"]) == code
-    findings = json.loads(capsys.readouterr().out)["findings"]
-    names = [finding["name"] for finding in findings]
-    assert {"torch", "native kernels", "default model", "memory"} <= set(names)
-    assert main(["doctor"]) == code
 
 
 def test_the_version_is_that_of_the_package():

@@ -3,7 +3,7 @@ import warnings
 import pytest
 import torch
 
-from instok3d.render import RasterSettings, api, render
+from instok3d.render import RasterSettings, api, native_backend, render
 from instok3d.render.native_backend import NativeStatus
 from instok3d.types import Cameras, Gaussians
 
@@ -12,10 +12,10 @@ def test_without_the_kernels_the_first_render_warns_once_and_says_what_to_do(
     make_scene, monkeypatch
 ):
     gaussians, cameras = make_scene(count=5, dtype=torch.float32)
-    missing = NativeStatus(False, (), "", "it was not built")
-    monkeypatch.setattr(api, "native_status", lambda: missing)
+    monkeypatch.setattr(native_backend, "_rasterizer", None)
+    monkeypatch.setattr(native_backend, "find_spec", lambda name: None)
     api._warn_of_slow_rendering.cache_clear()
-    with pytest.warns(UserWarning, match=r"not built.*hundreds of times.*C\+\+ compiler"):
+    with pytest.warns(UserWarning, match=r"hundreds of times.*not built.*C\+\+ compiler"):
         render(gaussians, cameras, 8, 8)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

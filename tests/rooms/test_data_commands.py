@@ -101,7 +101,7 @@ def test_a_missing_ray_tracer_is_named_before_anything_is_written(tmp_path, caps
     for name in ("embreex", "embreex.mesh_construction", "embreex.rtcore_scene"):
         monkeypatch.setitem(sys.modules, name, None)
     assert rooms(tmp_path / "rooms") == BAD_INPUT
-    assert "pip install instok3d[rooms]" in capsys.readouterr().err
+    assert "pip install 'instok3d[rooms]'" in capsys.readouterr().err
     assert not (tmp_path / "rooms").exists()
 
 

@@ -10,13 +10,15 @@ GSPLAT = "1.5.3"
 """As in pyproject.toml."""
 DEFAULT_VIEWS = 16
 """What `instok3d reconstruct` takes at most unless told otherwise."""
-EXTRAS = {
-    "embreex": "rooms: making training rooms",
-    "viser": "view: the viewer",
-    "imageio": "video: reading and writing films",
-    "pillow_heif": "heic: photos of iPhones",
-    "huggingface_hub": "models: fetching weights from the hub",
+OPTIONAL = {
+    "embreex": ("rooms", "making training rooms"),
+    "mitsuba_oidn": ("rooms", "training rooms with little noise"),
+    "imageio": ("video", "reading and writing films"),
+    "pillow_heif": ("heic", "photos of iPhones"),
+    "huggingface_hub": ("models", "fetching weights from the hub"),
+    "transformers": ("models", "masks by SAM 2"),
 }
+"""Modules of optional packages: the extra that brings each, and what it is for."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,15 @@ def run(json: bool = False) -> int:
 def _python() -> list[Finding]:
     import torch
 
-    from instok3d import __version__
+    from instok3d.version import generator
 
     threads = f"{torch.get_num_threads()} threads of {os.cpu_count()} processors"
     return [
-        Finding("instok3d", f"{__version__} in {Path(__file__).parents[1]}", True),
+        Finding(
+            "instok3d",
+            f"{generator().removeprefix('instok3d ')} in {Path(__file__).parents[1]}",
+            True,
+        ),
         Finding("python", f"{platform.python_version()} on {platform.platform()}", True),
         Finding("torch", f"{torch.__version__}, {threads}", True),
     ]
@@ -110,8 +116,14 @@ def _extras() -> list[Finding]:
     from importlib.util import find_spec
 
     return [
-        Finding(name, f"{'there' if find_spec(name) else 'not installed'} (extra {use})", True)
-        for name, use in EXTRAS.items()
+        Finding(
+            name,
+            f"there, for {use}"
+            if find_spec(name)
+            else f"not installed: pip install 'instok3d[{extra}]' for {use}",
+            True,
+        )
+        for name, (extra, use) in OPTIONAL.items()
     ]
 
 
@@ -126,7 +138,8 @@ def _gsplat() -> Finding:
         return Finding("gsplat", "missing: pip install 'instok3d[gpu]' to render on CUDA", False)
     state = f"{found} for {torch.cuda.get_device_name()}"
     if found.split("+")[0] != GSPLAT:
-        return Finding("gsplat", f"{state}, but {GSPLAT} is what was tested", False)
+        state = f"{state}, but the code is written for {GSPLAT}: pip install 'instok3d[gpu]'"
+        return Finding("gsplat", state, False)
     return Finding("gsplat", state, True)
 
 
@@ -141,6 +154,6 @@ def _kernels() -> Finding:
     return Finding(
         "native kernels",
         "missing, so that rendering takes some hundred times longer, and solving for cameras "
-        f"longer too: {status.reason}; install a C++ compiler and reinstall instok3d",
+        f"longer too: {status.reason}",
         False,
     )

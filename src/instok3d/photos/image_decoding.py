@@ -192,8 +192,8 @@ def _register_heif(path: Path) -> None:
         import pillow_heif
     except ImportError as error:
         raise ValueError(
-            f"{path} is a HEIC picture, which needs a plugin: pip install instok3d[heic], or save "
-            "it as JPEG"
+            f"{path} is a HEIC picture, which needs a plugin: pip install 'instok3d[heic]', "
+            "or save it as JPEG"
         ) from error
     pillow_heif.register_heif_opener()
 

@@ -21,7 +21,7 @@ def extract_frames(path: Path, folder: Path, *, count: int = 48) -> list[Path]:
         import imageio_ffmpeg
     except ImportError as error:
         raise ValueError(
-            f"{path} is a video, which needs a plugin: pip install instok3d[video]"
+            f"{path} is a video, which needs a plugin: pip install 'instok3d[video]'"
         ) from error
     # "file:" keeps ffmpeg from reading a name as the address of something else.
     source = f"file:{path.resolve()}"

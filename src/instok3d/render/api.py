@@ -100,7 +100,7 @@ def backends() -> dict[str, str]:
         native = f"available ({sets}; {status.threading})"
     else:
         native = f"missing: {status.reason}"
-    gsplat = "missing: pip install instok3d[gpu]"
+    gsplat = "missing: pip install 'instok3d[gpu]'"
     if gsplat_is_installed():
         gsplat = "available" if torch.cuda.is_available() else "installed, but no CUDA device"
     return {"native": native, "gsplat": gsplat, "reference": "available (slow)"}
@@ -131,9 +131,8 @@ def _chosen(
 @cache
 def _warn_of_slow_rendering() -> None:
     warnings.warn(
-        f"the native rasterizer is missing: {native_status().reason}. Rendering takes "
-        "hundreds of times as long. Install a C++ compiler (GCC or Clang) and install instok3d "
-        "again.",
+        "rendering takes hundreds of times as long as it could, since the native rasterizer is "
+        f"missing: {native_status().reason}",
         stacklevel=4,
     )
 

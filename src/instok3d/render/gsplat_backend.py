@@ -1,4 +1,4 @@
-"""The rasterizer on CUDA, by gsplat (optional: `pip install instok3d[gpu]`).
+"""The rasterizer on CUDA, by gsplat (optional: `pip install 'instok3d[gpu]'`).
 
 gsplat cuts alphas at 0.999 where the other backends cut at 0.99, so that opaque pixels differ by
 up to 1 %.
@@ -57,7 +57,7 @@ def render_gsplat(
         rasterization = import_module("gsplat").rasterization
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "rendering on CUDA needs gsplat: pip install instok3d[gpu]"
+            "rendering on CUDA needs gsplat: pip install 'instok3d[gpu]'"
         ) from error
 
     pictures, features = [], []

@@ -48,9 +48,12 @@ class NativeStatus:
 def native_status() -> NativeStatus:
     """Whether the C++ kernels were built and load, for reports."""
     if _rasterizer is None:
-        reason = "it was not built when instok3d was installed"
+        reason = (
+            "it was not built when instok3d was installed; install a C++ compiler (GCC, Clang or "
+            "clang-cl) and reinstall instok3d"
+        )
         if find_spec("instok3d.render.native._rasterizer") is not None:
-            reason = f"it was built but does not load ({_import_error})"
+            reason = f"it was built but does not load: {_import_error}"
         return NativeStatus(False, (), "", reason)
     return NativeStatus(True, tuple(_rasterizer.instruction_sets()), _rasterizer.threading(), "")
 

@@ -37,7 +37,7 @@ def find_denoiser() -> Denoiser | None:
     except ImportError:
         warnings.warn(
             "mitsuba-oidn is not installed: rooms render four times slower and noisier; "
-            "install it with `pip install instok3d[rooms]`",
+            "install it with `pip install 'instok3d[rooms]'`",
             stacklevel=2,
         )
         return None

@@ -50,7 +50,7 @@ def check_embree() -> None:
     except ImportError as error:
         raise ModuleNotFoundError(
             "rendering rooms needs the ray tracer embreex; install it with "
-            "`pip install instok3d[rooms]`"
+            "`pip install 'instok3d[rooms]'`"
         ) from error
 
 
