@@ -10,7 +10,14 @@ import torch
 from safetensors import safe_open
 
 from instok3d import files, renames
-from instok3d.files import replacing, replacing_folder, sha256_of, write_json, write_safetensors
+from instok3d.files import (
+    json_text,
+    replacing,
+    replacing_folder,
+    sha256_of,
+    write_json,
+    write_safetensors,
+)
 from instok3d.locking import bring_back
 from kill_points import every_kill
 
@@ -39,6 +46,14 @@ def test_json_that_is_not_finite_is_refused_and_nothing_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
     write_json(tmp_path / "a.json", {"x": 1.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1.5}
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_json_with_any_name_can_be_encoded_and_read_back(encoding: str):
+    plain, names = {"b": 1, "a": "caf\xe9 \u5c45"}, ["\U0001f600", "\udcff"]
+    for value in (plain, names, {}):
+        assert json.loads(json_text(value, encoding=encoding).encode(encoding)) == value
+    assert json_text(plain) == '{\n "a": "caf\xe9 \u5c45",\n "b": 1\n}'
 
 
 def test_equal_tensors_and_metadata_give_equal_bytes(tmp_path):

@@ -116,6 +116,20 @@ def write_json(path: Path, value: Any) -> None:
         part.write_text(text)
 
 
+def json_text(value: Any, *, encoding: str = "utf-8") -> str:
+    """Finite JSON with sorted keys, its characters as they are where the encoding has them all.
+
+    Raises:
+        ValueError: The value holds a NaN or an infinity.
+    """
+    text = json.dumps(value, indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False)
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:  # file names may hold bytes that are no text in any encoding
+        return json.dumps(value, indent=1, sort_keys=True, allow_nan=False)
+    return text
+
+
 def write_safetensors(
     path: Path, tensors: "Mapping[str, Tensor]", metadata: Mapping[str, str] | None = None
 ) -> None:

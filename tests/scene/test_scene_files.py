@@ -2,6 +2,7 @@ import errno
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -249,3 +250,14 @@ def test_missing_files_are_named(tmp_path: Path, scene: Scene):
         with pytest.raises(FileNotFoundError, match=name):
             instok3d.load(tmp_path / "room.itk")
         shutil.rmtree(tmp_path / "room.itk")
+
+
+@pytest.mark.parametrize(
+    "name", ["caf\xe9 \u5c45 \U0001f600.jpg", "\udcff.jpg", 245 * "n" + ".jpg"]
+)
+def test_photos_of_any_name_are_kept(tmp_path: Path, scene: Scene, name: str):
+    views = tuple(replace(view, file=f"{index}{name}") for index, view in enumerate(scene.views))
+    named = replace(scene, views=views, warnings=(f"{name} is dark",))
+    named.save(tmp_path / "room.itk")
+    assert_same(instok3d.load(tmp_path / "room.itk"), named)
+    (tmp_path / "room.itk/scene.json").read_text(encoding="utf-8")

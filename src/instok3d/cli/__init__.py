@@ -1,17 +1,16 @@
 """The command `instok3d`: finds the subcommand, runs it, and turns errors into exit codes."""
 
 import errno
-import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from importlib import import_module
 
 import tyro
 
 from instok3d.cli.signals import EndedBySignal, orderly_end
+from instok3d.cli.streams import keep_streams
 from instok3d.errors import MissingWeightsError
 from instok3d.version import generator
 
@@ -46,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 done, 2 bad input, 3 out of memory or disk, 4 no weights, 130 interrupted, 143 and 129 ended
     by SIGTERM and SIGHUP. Errors are one line on stderr; `--debug` shows where they came from.
     """
+    keep_streams()
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
@@ -54,14 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _dispatch(words)
         sys.stdout.flush()
         return code
-    except BrokenPipeError:
-        # The reader of stdout is gone (`| head`): not an error, but nothing more may be flushed.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
     except EndedBySignal as end:
-        with suppress(OSError):  # where the terminal is gone
-            name = signal.Signals(end.number).name
-            print(f"\ninstok3d: ended by {name}; nothing half-written was left", file=sys.stderr)
+        name = signal.Signals(end.number).name
+        print(f"\ninstok3d: ended by {name}; nothing half-written was left", file=sys.stderr)
         return end.exit_code
     except KeyboardInterrupt:
         print("\ninstok3d: interrupted; nothing half-written was left", file=sys.stderr)

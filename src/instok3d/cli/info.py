@@ -1,5 +1,6 @@
 """`instok3d info`: what is in a scene."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,6 +67,6 @@ def describe(scene: "Scene") -> str:
 
 def print_json(value: dict[str, Any]) -> None:
     """One JSON object on stdout, keys in order, finite numbers only."""
-    from json import dumps
+    from instok3d.files import json_text
 
-    print(dumps(value, indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False))
+    print(json_text(value, encoding=sys.stdout.encoding or "utf-8"))

@@ -23,7 +23,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from instok3d.files import replacing_folder, sha256_of, write_safetensors
+from instok3d.files import json_text, replacing_folder, sha256_of, write_safetensors
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
@@ -362,5 +362,4 @@ def _read_json(file: Path) -> Any:
 
 
 def _write_json(file: Path, value: Any) -> None:
-    text = json.dumps(value, indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    file.write_text(json_text(value) + "\n", encoding="utf-8")
