@@ -40,6 +40,18 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
 
 
+@pytest.mark.parametrize("ending", [".png", f".{200 * 'x'}"])
+def test_a_name_may_be_as_long_as_the_disk_allows(tmp_path, ending: str):
+    target = tmp_path / ("n" * (255 - len(ending)) + ending)
+    with replacing(target) as part:
+        part.write_text("whole")
+        assert part.suffix == ending
+    assert target.read_text() == "whole"
+    with replacing_folder(tmp_path / (255 * "f")) as part:
+        filled(part, "whole")
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_json_that_is_not_finite_is_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", {"x": float("nan")})
