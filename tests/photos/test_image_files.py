@@ -82,6 +82,61 @@ def test_a_link_to_itself_is_left_out(tmp_path):
         assert names(find_images(tmp_path)) == ["1.jpg"]
 
 
+def test_names_that_begin_with_a_tilde_are_files(tmp_path, monkeypatch):
+    touch(tmp_path, "~photo_1.jpg", "~photo_2.jpg", "~folder/1.jpg")
+    monkeypatch.chdir(tmp_path)
+    for name in ("~photo_1.jpg", "./~photo_1.jpg"):
+        assert names(find_images(name)) == ["~photo_1.jpg"]
+    assert names(find_images(["~photo_2.jpg", "~photo_1.jpg"])) == ["~photo_2.jpg", "~photo_1.jpg"]
+    assert names(find_images("~folder")) == ["1.jpg"]
+    assert names(find_images("~photo_*.jpg")) == ["~photo_1.jpg", "~photo_2.jpg"]
+    with pytest.raises(FileNotFoundError, match=r"no file or folder ~photo_9\.jpg"):
+        find_images("~photo_9.jpg")
+    with pytest.raises(FileNotFoundError, match=r"no file ~photo_9\.jpg"):
+        find_images(["~photo_1.jpg", "~photo_9.jpg"])
+
+
+def test_a_pattern_does_not_follow_folders_that_go_round_in_a_circle(tmp_path):
+    touch(tmp_path, "1.jpg", "a/2.jpg", "a/b/3.jpg", "a/.hidden/4.jpg")
+    (tmp_path / "a/first").symlink_to(tmp_path)
+    (tmp_path / "a/second").symlink_to(tmp_path)  # two of them would make 2^40 paths
+    for pattern in ("**/*.jpg", "**/**/*.jpg"):
+        assert names(find_images(str(tmp_path / pattern))) == ["1.jpg", "2.jpg", "3.jpg"]
+    assert names(find_images(f"{tmp_path}/a/first/*.jpg")) == ["1.jpg"]
+    assert names(find_images(f"{tmp_path}/a/[!.]/*.jpg")) == ["3.jpg"]
+
+
+def test_a_relative_pattern_starts_here(tmp_path, monkeypatch):
+    touch(tmp_path, "x/1.jpg", "x/2.png", "y/3.jpg")
+    monkeypatch.chdir(tmp_path)
+    assert find_images("*/*.jpg") == [Path("x/1.jpg"), Path("y/3.jpg")]
+    assert names(find_images(f"../{tmp_path.name}/*/?.jpg")) == ["1.jpg", "3.jpg"]
+
+
+@pytest.mark.parametrize("kind", [str, lambda path: [path]])
+def test_pipes_and_devices_are_refused_at_once(tmp_path, kind):
+    os.mkfifo(tmp_path / "pipe.jpg")
+    with pytest.raises(ValueError, match=r"pipe\.jpg is a named pipe, wanted a file"):
+        find_images(kind(str(tmp_path / "pipe.jpg")))
+    with pytest.raises(ValueError, match="is a device, wanted a file"):
+        find_images(kind(os.devnull))
+    touch(tmp_path, "1.jpg")
+    with pytest.warns(UserWarning, match=r"left out: pipe\.jpg"):
+        assert names(find_images(tmp_path)) == ["1.jpg"]
+
+
+def test_a_link_that_leads_nowhere_is_named(tmp_path):
+    (tmp_path / "a.jpg").symlink_to(tmp_path / "gone.jpg")
+    with pytest.raises(FileNotFoundError, match=r"the link .*a\.jpg leads to no file"):
+        find_images(tmp_path / "a.jpg")
+
+
+def test_names_that_are_no_text_and_long_ones_are_found(tmp_path):
+    odd = os.fsdecode(b"\xff.jpg")
+    touch(tmp_path, odd, 245 * "n" + ".jpg")
+    assert sorted(names(find_images(tmp_path))) == sorted([245 * "n" + ".jpg", odd])
+
+
 def test_nothing_there_is_said(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no file or folder .*nowhere"):
         find_images(tmp_path / "nowhere")

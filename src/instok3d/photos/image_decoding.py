@@ -20,6 +20,7 @@ from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
+from instok3d.photos.file_names import check_regular_file
 from instok3d.photos.pixel_map import Fit, PixelMap, fit_pixels, upright_from_stored
 
 FORMATS = ("JPEG", "MPO", "PNG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "AVIF", "HEIF")
@@ -144,11 +145,37 @@ def naming_damage(what: object, remedy: str = "download it again") -> Iterator[N
         raise ValueError(f"{what} is damaged or cut off ({error}); {remedy}") from error
 
 
+def picture_formats() -> list[str]:
+    """The formats that are decoded, as far as this installation can."""
+    Image.init()
+    return [name for name in FORMATS if name in Image.OPEN]
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file begins like a picture, damaged ones too; only its header is read."""
+    try:
+        with path.open("rb") as stream:
+            if _is_heic(stream.read(32)):
+                return True
+        with Image.open(path, formats=picture_formats()):
+            return True
+    except UnidentifiedImageError:
+        return False
+    except (*_BROKEN, Image.DecompressionBombError):
+        return True
+
+
+def _is_heic(data: bytes) -> bool:
+    brands = data[8:32] if data[4:8] == b"ftyp" else b""
+    return b"avif" not in brands and any(brand in brands for brand in _HEIC_BRANDS)
+
+
 def _naming(path: Path) -> AbstractContextManager[None]:
     return naming_damage(path, "copy it again or leave it out")
 
 
 def _read_bytes(path: Path, max_pixels: int) -> bytes:
+    check_regular_file(path)
     try:
         size = path.stat().st_size
         limit = 8 * max_pixels + 2**20  # nothing within max_pixels takes 8 bytes a pixel
@@ -158,8 +185,6 @@ def _read_bytes(path: Path, max_pixels: int) -> bytes:
                 "take; make it smaller"
             )
         data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no file {path}") from error
     except PermissionError as error:
         raise PermissionError(f"{path} may not be read; change its permissions") from error
     if not data:
@@ -168,16 +193,14 @@ def _read_bytes(path: Path, max_pixels: int) -> bytes:
 
 
 def _open(path: Path, data: bytes) -> Image.Image:
-    brands = data[8:32] if data[4:8] == b"ftyp" else b""
-    if b"avif" not in brands and any(brand in brands for brand in _HEIC_BRANDS):
+    if _is_heic(data):
         _register_heif(path)
-    Image.init()
     try:
-        return Image.open(io.BytesIO(data), formats=[f for f in FORMATS if f in Image.OPEN])
+        return Image.open(io.BytesIO(data), formats=picture_formats())
     except UnidentifiedImageError as error:
         raise ValueError(
             f"{path} is not a picture in a known format (it begins with {data[:8]!r}); leave it "
-            "out or save it as JPEG or PNG"
+            "out or save it as JPEG or PNG; a video must be the only input"
         ) from error
     except Image.DecompressionBombError as error:  # only outside own_pixel_limit
         raise ValueError(f"{path} is too large to decode ({error}); make it smaller") from error
