@@ -1,3 +1,4 @@
+import os
 import pickle
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from instok3d.geometry.cameras import invert_rigid
 PINHOLE = {1: ("PINHOLE", 160, 120, [130.0, 132.0, 80.0, 60.0])}
 
 
-def pose(number: int) -> torch.Tensor:
+def pose(number: float) -> torch.Tensor:
     matrix = torch.eye(4, dtype=torch.float64)
     matrix[0, 3] = number
     return matrix
@@ -97,6 +98,79 @@ def test_bad_scenes_are_refused_with_a_reason_and_others_go_on(tmp_path):
     assert "cut off" in report.failed["cut"]
     assert "a.png: COLMAP's lens model OPENCV_FISHEYE is not supported" in report.failed["fisheye"]
     assert "image of 160 x 120, but the photo has 99 x 99" in report.failed["other_size"]
+
+
+def test_of_several_models_the_largest_is_prepared_and_told(tmp_path):
+    write_scene(tmp_path / "in/room", ["a.png", "b.png", "c.png"])
+    (tmp_path / "in/room/sparse/0").rename(tmp_path / "in/room/sparse/1")
+    images = [("a.png", pose(0), 1), ("z.png", pose(1), 1)]
+    write_colmap(tmp_path / "in/room/sparse/0", PINHOLE, images, ".txt")
+    with pytest.warns(UserWarning, match=r"2 COLMAP models .*sparse/1 is used.* 1 photos: z\.png"):
+        report = prepared(ColmapSource(tmp_path / "in", size=16), tmp_path / "out")
+    assert (report.frames, report.dropped, report.failed) == (3, {}, {})
+
+
+def test_photos_that_the_model_does_not_name_are_told(tmp_path):
+    write_scene(tmp_path / "room", [f"{k}.png" for k in range(4)])
+    images = [(f"{k}.png", pose(k), 1) for k in (1, 3)]
+    write_colmap(tmp_path / "room/sparse/0", PINHOLE, images, ".bin")
+    with pytest.warns(UserWarning, match=r"2 of 4 photos in .* left out: 0\.png, 2\.png"):
+        report = prepared(ColmapSource(tmp_path / "room", size=16), tmp_path / "out")
+    assert report.frames == 2
+
+
+@pytest.mark.parametrize("form", ["{}.png", "{}", "{}.JPG", "./{}.png"])
+def test_photos_are_found_whatever_their_ending(tmp_path, form):
+    stems = ["frame.0001", "frame.0002", "left\\3"]
+    write_scene(tmp_path / "room", [f"{stem}.png".replace("\\", "/") for stem in stems])
+    images = [(form.format(stem), pose(k), 1) for k, stem in enumerate(stems)]
+    write_colmap(tmp_path / "room/sparse/0", PINHOLE, images, ".txt")
+    report = prepared(ColmapSource(tmp_path / "room", size=16), tmp_path / "out")
+    assert (report.frames, report.dropped, report.failed) == (3, {}, {})
+
+
+def test_photos_that_differ_only_in_ending_are_refused_where_that_counts(tmp_path):
+    write_scene(tmp_path / "room", ["a.png"])
+    Image.new("RGB", (160, 120)).save(tmp_path / "room/images/a.jpg")
+    assert prepared(ColmapSource(tmp_path / "room", size=16), tmp_path / "out").frames == 1
+    (tmp_path / "room/images/a.png").rename(tmp_path / "room/images/a.webp")
+    report = prepared(ColmapSource(tmp_path / "room", size=16), tmp_path / "out2")
+    assert "names a.png, which may be a.jpg or a.webp" in report.failed["room"]
+
+
+def test_a_damaged_model_among_several_fails_alone(tmp_path):
+    write_scene(tmp_path / "in/good", ["a.png"])
+    write_scene(tmp_path / "in/bad", ["a.png"])
+    write_colmap(tmp_path / "in/bad/sparse/1", PINHOLE, [], ".txt")
+    (tmp_path / "in/bad/sparse/1/images.txt").write_text("1 2 3")
+    report = prepared(ColmapSource(tmp_path / "in", size=16), tmp_path / "out")
+    assert report.scenes == 1
+    assert "sparse/1 are damaged" in report.failed["bad"]
+
+
+def test_cameras_that_make_no_sense_fail_with_their_reason(tmp_path):
+    write_scene(tmp_path / "in/far", ["a.png", "b.png"])
+    images = [("a.png", pose(0), 1), ("b.png", pose(1e30), 1)]
+    write_colmap(tmp_path / "in/far/sparse/0", PINHOLE, images, ".bin")
+    upside = {1: ("PINHOLE", 160, 120, [130.0, -132.0, 80.0, 60.0])}
+    write_scene(tmp_path / "in/focal", ["a.png"], upside)
+    nothing = {1: ("OPENCV", 160, 120, [130.0, 132.0, 80.0, 60.0, float("nan"), 0.0, 0.0, 0.0])}
+    write_scene(tmp_path / "in/nothing", ["a.png"], nothing)
+    report = prepared(ColmapSource(tmp_path / "in", size=16), tmp_path / "out")
+    assert report.scenes == 0
+    assert "b.png stands 1e+30 units from the origin" in report.failed["far"]
+    assert "a.png has the focal length -132" in report.failed["focal"]
+    assert "distortion that is not finite" in report.failed["nothing"]
+
+
+def test_links_that_lead_nowhere_and_pipes_are_no_photos(tmp_path):
+    write_scene(tmp_path / "room", ["a.png", "b.png"])
+    (tmp_path / "room/images/c.png").symlink_to(tmp_path / "gone.png")
+    (tmp_path / "room/images/round").symlink_to(tmp_path / "room/images")
+    (tmp_path / "room/images/b.png").unlink()
+    os.mkfifo(tmp_path / "room/images/b.png")
+    report = prepared(ColmapSource(tmp_path / "room", size=16), tmp_path / "out")
+    assert (report.frames, report.dropped) == (1, {"a missing picture": 1})
 
 
 def test_lens_distortion_is_taken_out(tmp_path):

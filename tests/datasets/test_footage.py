@@ -120,7 +120,9 @@ def test_real_posed_depth_of_two_frames_agrees(shared, tmp_path):
     for frame in data["frames"]:
         frame["color"], frame["depth"] = (str(original / frame[key]) for key in ("color", "depth"))
     (tmp_path / "scene.json").write_text(json.dumps(data))
-    source = FootageSource(tmp_path / "scene.json", name="redkitchen", size=64)
+    with pytest.raises(ValueError, match=r"lies outside of the folder .* --allow-outside"):
+        FootageSource(tmp_path / "scene.json", name="redkitchen", size=64).jobs()
+    source = FootageSource(tmp_path / "scene.json", name="redkitchen", size=64, allow_outside=True)
     assert prepared(source, tmp_path / "out").failed == {}
     scene = PreparedScenes(tmp_path / "out").frames(0, [0, 1])
     assert read_scene(tmp_path / "out/redkitchen").info.unit == "metre"

@@ -1,4 +1,5 @@
 import math
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -7,16 +8,17 @@ import torch
 from PIL import Image
 
 from instok3d.datasets.posed_photos import PhotoFiles, prepared_photo
-from instok3d.photos.camera_files import PhotoCamera
+from instok3d.photos.cameras import PhotoCamera
+from instok3d.photos.distortion import Distortion
 from instok3d.photos.undistortion import undistortion
 
 HEIGHT, WIDTH = 96, 128
 INTRINSICS = torch.tensor([[90.0, 0, 66.3], [0, 92.0, 46.8], [0, 0, 1]], dtype=torch.float64)
 LENSES = [
-    (0.0, 0.0, 0.0, 0.0),
-    (-0.2, 0.0, 0.0, 0.0),
-    (0.15, 0.02, 0.0, 0.0),
-    (0.1, -0.1, 0.02, -0.01),
+    Distortion(),
+    Distortion(-0.2),
+    Distortion(0.15, 0.02, k3=-0.01),
+    Distortion(0.1, -0.1, 0.02, -0.01),
 ]
 TURNED = torch.tensor(
     [[math.cos(0.3), 0, math.sin(0.3), 0.1], [0, 1, 0, 0.2],
@@ -48,9 +50,9 @@ def position_ids(path: Path) -> Path:
 
 def bend(x: np.ndarray, y: np.ndarray, lens) -> tuple[np.ndarray, np.ndarray]:
     """OpenCV's formula, in its own words."""
-    k1, k2, p1, p2 = lens
+    k1, k2, p1, p2, k3 = astuple(lens)
     r2 = x**2 + y**2
-    radial = 1 + k1 * r2 + k2 * r2**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     return (
         x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
         y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
@@ -79,7 +81,7 @@ def test_each_pixel_shows_what_its_ray_meets_in_the_photo(tmp_path, lens):
     assert frame.world_from_cam == pytest.approx(torch.linalg.inv(TURNED).numpy())
     # The crop is square about the principal point, and loses little to the lens.
     assert frame.intrinsics[0, 2] == pytest.approx(24, abs=0.3)
-    assert frame.intrinsics[0, 0] == pytest.approx(90 * 24 / 47, rel=0.08 if any(lens) else 1e-9)
+    assert frame.intrinsics[0, 0] == pytest.approx(90 * 24 / 47, rel=0.08 if lens else 1e-9)
 
 
 def test_bending_by_hand():
@@ -87,10 +89,10 @@ def test_bending_by_hand():
     # p1 = 0.01: y += 0.01 * 0.25 = 0.0025; p2 = 0.02: x += 0.02 * (0.25 + 0.5) = 0.015.
     # In a picture of 20 x 20 with f = 10 in its middle: column 10 + 5.275, row 10 + 0.025.
     intrinsics = torch.tensor([[10.0, 0, 10.5], [0, 10, 10.5], [0, 0, 1]], dtype=torch.float64)
-    lens = undistortion(intrinsics, (0.1, 0.0, 0.01, 0.02), 21, 21)
+    lens = undistortion(intrinsics, Distortion(0.1, 0.0, 0.01, 0.02), 21, 21)
     zoom = float(lens.intrinsics[0, 0]) / 10
     assert 1 < zoom < 1.2
-    plain = undistortion(intrinsics, (-0.1, 0.0, 0.01, 0.02), 21, 21)
+    plain = undistortion(intrinsics, Distortion(-0.1, 0.0, 0.01, 0.02), 21, 21)
     assert float(plain.intrinsics[0, 0]) == 10  # a barrel leaves no gap
     x, y = (21 * plain.positions[10, 15]).tolist()
     assert (x, y) == pytest.approx((10.5 + 10 * (0.5 * 0.975 + 0.015), 10.5 + 0.025))
@@ -98,9 +100,9 @@ def test_bending_by_hand():
 
 def test_lenses_beyond_repair_are_refused():
     with pytest.raises(ValueError, match=r"leaves gaps .* undistort the photos first"):
-        undistortion(INTRINSICS, (2.0, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
+        undistortion(INTRINSICS, Distortion(2.0), HEIGHT, WIDTH)
     with pytest.raises(ValueError, match="leaves gaps"):  # folds back into the picture
-        undistortion(INTRINSICS, (-1.5, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
+        undistortion(INTRINSICS, Distortion(-1.5), HEIGHT, WIDTH)
 
 
 def test_a_photo_turned_by_exif_shows_the_same_world(tmp_path):

@@ -57,7 +57,7 @@ def test_rigid_transforms_come_back_exactly_rigid(rng, dtype):
     ],
 )
 def test_what_is_not_rigid_is_refused_with_its_fault(matrix, message):
-    with pytest.raises(ValueError, match=rf"^a\.json: 1\.jpg .*{message}.*; write its pose"):
+    with pytest.raises(ValueError, match=rf"^a\.json: 1\.jpg .*{message}.*; wanted a rotation"):
         check_rigid(matrix, where="a.json: 1.jpg")
     assert rigid_fault(matrix) is not None
 
@@ -81,15 +81,15 @@ def test_pinholes_pass():
         (pinhole()[:2], "intrinsics of 2 x 3 numbers instead of 3 x 3"),
         (pinhole(fx=math.nan), "not finite"),
         (pinhole(cy=math.inf), "not finite"),
-        (pinhole(fx=-500.0), "focal lengths -500 and 510, which must be above 0"),
-        (pinhole(fy=0.0), "focal lengths 500 and 0, which must be above 0"),
+        (pinhole(fx=-500.0), "focal length -500, which must be above 0"),
+        (pinhole(fy=0.0), "focal length 0, which must be above 0"),
         (changed(pinhole(), (1, 0, 5.0)), "5 below the diagonal"),
         (changed(pinhole(), (2, 0, 0.5)), "last row is 0.5 0 1, not 0 0 1"),
         (changed(pinhole(), (2, 2, 0.0)), "last row is 0 0 0"),
         (pinhole(skew=20.0), "skew of 20"),
-        (pinhole(fx=0.8, fy=1.0, cx=0.5, cy=0.5), "focal lengths 0.8 and 1, .* another image size"),
-        (pinhole(fx=1e30), "another image size"),
-        (pinhole(cx=960.0), r"principal point \(960, 240\), .* another image size"),
+        (pinhole(fx=0.8, fy=1.0, cx=0.5, cy=0.5), "focal lengths 0.8 and 1, .* another size"),
+        (pinhole(fx=1e30), "another size"),
+        (pinhole(cx=960.0), r"principal point \(960, 240\), .* another size"),
         (pinhole(cy=-1.0), "principal point"),
     ],
 )
@@ -100,5 +100,5 @@ def test_what_is_no_pinhole_of_the_image_is_refused_with_its_fault(matrix, messa
 
 @pytest.mark.parametrize(("width", "height"), [(0, 480), (640, -1), (10**9, 480)])
 def test_images_without_a_size_are_refused(width, height):
-    with pytest.raises(ValueError, match=f"cannot have an image of {width} x {height} pixels"):
+    with pytest.raises(ValueError, match=f"cannot have {width} x {height} pixels"):
         check_intrinsics(pinhole(), where="x", width=width, height=height)

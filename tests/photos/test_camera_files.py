@@ -1,6 +1,7 @@
 import json
 import math
 import struct
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,7 +10,9 @@ from PIL import Image
 from colmap_models import write_colmap
 from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.geometry.rotations import quat_to_matrix
-from instok3d.photos.camera_files import CameraSet, PhotoCamera, read_cameras
+from instok3d.photos.camera_files import read_cameras
+from instok3d.photos.cameras import CameraSet, PhotoCamera
+from instok3d.photos.distortion import Distortion
 
 IDENTITY = torch.eye(4).tolist()
 
@@ -39,7 +42,7 @@ def test_colmap_binary_and_text_give_the_same_cameras(tmp_path, rng, place):
         torch.testing.assert_close(one.cam_from_world, matrix)
     expected = torch.tensor([[700.0, 0, 400], [0, 710, 301], [0, 0, 1]]).double()
     assert torch.equal(binary.cameras[0].intrinsics, expected)
-    assert binary.cameras[0].distortion == (0.01, -0.02, 0.001, 0.002)
+    assert binary.cameras[0].distortion == Distortion(0.01, -0.02, 0.001, 0.002)
     assert binary.units == "arbitrary"
 
 
@@ -57,7 +60,7 @@ def test_colmap_lens_models_by_hand(tmp_path, model, parameters, focal):
     camera = read_cameras(tmp_path).cameras[0]
     expected = torch.tensor([[focal[0], 0, 30.0], [0, focal[1], 20], [0, 0, 1]]).double()
     assert torch.equal(camera.intrinsics, expected)
-    assert camera.distortion == ((0.1, 0.2, 0, 0) if model == "RADIAL" else (0, 0, 0, 0))
+    assert camera.distortion == (Distortion(0.1, 0.2) if model == "RADIAL" else Distortion())
 
 
 def test_colmap_fisheye_is_refused_with_its_name(tmp_path):
@@ -127,7 +130,7 @@ def test_what_a_frame_says_goes_before_what_the_file_says(tmp_path):
     write(tmp_path / "transforms.json", transforms(frames=[frame]))
     camera = read_cameras(tmp_path).cameras[0]
     assert camera.intrinsics[0, 0] == 300
-    assert camera.distortion == (0.1, 0, 0, 0)
+    assert camera.distortion == Distortion(k1=0.1)
 
 
 def scene(**changes) -> dict:
@@ -160,6 +163,7 @@ def _frame(matrix) -> list[dict]:
 
 
 MIRRORED = torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0])).tolist()
+FAR = [[1, 0, 0, 1e30], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 SHEARED = [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 
 
@@ -176,8 +180,24 @@ SHEARED = [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
             "last row",
         ),
         (scene(K=[[-5, 0, 320], [0, 500, 240], [0, 0, 1]]), "focal length .* above 0"),
+        (scene(K=[[500, 0, 320], [3, 500, 240], [0, 0, 1]]), "0.jpg has .* 3 below the diagonal"),
+        (scene(K=[[500, 0, 320], [0, 500, 240], [0, 1, 1]]), "last row is 0 1 1"),
+        (scene(K=[[500, 80, 320], [0, 500, 240], [0, 0, 1]]), "skew of 80"),
+        (scene(K=[[0.8, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]), "focal lengths .* another size"),
+        (scene(K=[[math.nan, 0, 320], [0, 500, 240], [0, 0, 1]]), "intrinsics .* not finite"),
+        (scene(frames=_frame(FAR)), r"stands 1e\+30 units from the origin"),
         (scene(K=[[500, 0, 960], [0, 500, 540], [0, 0, 1]]), "principal point .* another size"),
         (scene(K=None), "matrix that is not 3 x 3"),
+        (scene(depth_scale=math.nan), "depth_scale must be finite"),
+        (scene(depth_scale=1e-30), "depth scale must be above 0 and finite"),
+        (scene(depth_scale=-1000), "depth scale must be above 0"),
+        (scene(k3=-3, k1=math.inf), "k1 must be finite"),
+        (scene(camera_model="FULL_OPENCV"), "lens model FULL_OPENCV; undistort"),
+        (scene(dist_coeffs=[0, 0, 0, 0, 0.2]), "lens term dist_coeffs, which is not read"),
+        (scene(width=640.5), "width must be a whole number of pixels"),
+        (scene(frames=2 * _frame(IDENTITY)), "names 1 photos more than once, such as a.jpg"),
+        (scene(frames=[{"color": ["a"], "c2w": IDENTITY}]), "color must be the name of a file"),
+        (scene(frames=[{"color": " ", "c2w": IDENTITY}]), "color must be the name of a file"),
         (scene(depth_scale=0), "depth scale must be above 0"),
         (scene(width="wide"), "width must be a number, got 'wide'"),
         (scene(height=math.inf), "height must be finite"),
@@ -188,6 +208,36 @@ SHEARED = [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
         ({"images": []}, "no list of frames"),
         ([1, 2], "no list of frames"),
         (transforms(camera_model="OPENCV_FISHEYE"), "lens model OPENCV_FISHEYE; undistort"),
+        *(
+            (transforms(camera_model=model), f"lens model {model}; undistort")
+            for model in ("FULL_OPENCV", "THIN_PRISM_FISHEYE", "EQUIRECTANGULAR", "FOV", "fisheye")
+        ),
+        *(
+            (transforms(**{key: value}), f"lens term {key}, which is not read; undistort")
+            for key, value in {
+                "k4": 0.01,
+                "k5": -1e-9,
+                "k6": math.nan,
+                "s1": 0.1,
+                "s4": 1,
+                "tau_x": 0.1,
+                "is_fisheye": True,
+                "distortion_params": [0, 0.1],
+                "distortion": {"k1": 0.1},
+                "dist_coeffs": "0.1 0 0 0",
+            }.items()
+        ),
+        (transforms(k3=math.nan), "k3 must be finite"),
+        (transforms(p2="0.1"), "p2 must be a number"),
+        (transforms(fl_x=0), "focal length 0, which must be above 0"),
+        (transforms(fl_y=-500), "focal length -500, which must be above 0"),
+        (transforms(cx=-1), "principal point"),
+        (transforms(depth_unit_scale_factor=0), "number out of range"),
+        (transforms(depth_unit_scale_factor=-0.001), "depth scale must be above 0"),
+        (
+            {"w": 640, "h": 480, "camera_angle_x": 3.5, "frames": transforms()["frames"]},
+            "camera_angle_x must lie between 0 and pi",
+        ),
         (transforms(frames=[{"file_path": "a.jpg"}]), "lacks the field 'transform_matrix'"),
         ({"frames": [{"file_path": "a.jpg", "transform_matrix": IDENTITY}]}, "gives no w and h"),
     ],
@@ -197,6 +247,100 @@ def test_a_bad_camera_file_is_named_with_its_fault(tmp_path, data, message):
     with pytest.raises(ValueError, match=message) as caught:
         read_cameras(tmp_path / "cameras.json")
     assert "cameras.json" in str(caught.value)
+
+
+def test_terms_that_are_zero_or_not_there_are_no_lens(tmp_path):
+    nothing = {"k4": 0, "k5": None, "s1": 0.0, "is_fisheye": False, "distortion_params": [0, 0.0],
+               "dist_coeffs": [], "k1": None, "camera_model": None}  # fmt: skip
+    for name, data in {"a.json": transforms(**nothing), "b.json": scene(**nothing)}.items():
+        write(tmp_path / name, data)
+        assert read_cameras(tmp_path / name).cameras[0].distortion == Distortion()
+
+
+def test_every_term_that_is_read_counts(tmp_path):
+    terms = {"k1": 0.01, "k2": -0.02, "p1": 0.001, "p2": 0.002, "k3": -0.03}
+    for name, data in {"a.json": transforms(**terms), "b.json": scene(**terms)}.items():
+        write(tmp_path / name, data)
+        assert read_cameras(tmp_path / name).cameras[0].distortion == Distortion(**terms)
+
+
+def test_two_angles_are_two_focal_lengths(tmp_path):
+    data = {"w": 200, "h": 100, "camera_angle_x": math.pi / 2, "camera_angle_y": math.pi / 2}
+    write(tmp_path / "a.json", {**data, "frames": transforms()["frames"]})
+    focal = read_cameras(tmp_path / "a.json").cameras[0].intrinsics.diagonal()[:2]
+    assert focal.tolist() == pytest.approx([100, 50])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_json_may_begin_with_a_byte_order_mark(tmp_path, encoding):
+    (tmp_path / "transforms.json").write_bytes(json.dumps(transforms()).encode(encoding))
+    assert len(read_cameras(tmp_path).cameras) == 1
+
+
+def test_json_may_name_a_file_by_bytes_that_are_no_text(tmp_path):
+    text = json.dumps(transforms()).encode().replace(b"a.jpg", b"\xff.jpg")
+    (tmp_path / "transforms.json").write_bytes(text)
+    assert read_cameras(tmp_path).cameras[0].name == "images/\udcff.jpg"
+
+
+@pytest.mark.parametrize("name", ["../depth.png", "/depth.png", "..\\depth.png"])
+def test_depth_outside_of_the_folder_must_be_asked_for(tmp_path, name):
+    frame = {"color": "a.jpg", "depth": name, "c2w": IDENTITY}
+    write(tmp_path / "scene.json", scene(frames=[frame]))
+    with pytest.raises(ValueError, match=r"outside of the folder .* --allow-outside"):
+        read_cameras(tmp_path)
+    (camera,) = read_cameras(tmp_path, allow_outside=True).cameras
+    assert camera.depth_path is not None
+
+
+@pytest.mark.parametrize("suffix", [".bin", ".txt"])
+@pytest.mark.parametrize(
+    ("lens", "shift", "message"),
+    [
+        ([-500.0, 500, 320, 240], 0.0, "focal length -500, which must be above 0"),
+        ([500.0, 0, 320, 240], 0.0, "focal length 0"),
+        ([500.0, math.nan, 320, 240], 0.0, "not finite"),
+        ([500.0, 500, 960, 240], 0.0, "principal point"),
+        ([0.8, 0.8, 0.5, 0.5], 0.0, "another size"),
+        ([500.0, 500, 320, 240], 1e30, r"stands 1e\+30 units"),
+        ([500.0, 500, 320, 240], math.nan, "not finite"),
+    ],
+)
+def test_colmap_cameras_that_make_no_sense_are_refused(tmp_path, suffix, lens, shift, message):
+    pose = torch.eye(4).double()
+    pose[0, 3] = shift
+    write_colmap(tmp_path, {1: ("PINHOLE", 640, 480, lens)}, [("a.jpg", pose, 1)], suffix)
+    with pytest.raises(ValueError, match=rf"a\.jpg .*{message}"):
+        read_cameras(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".bin", ".txt"])
+def test_a_colmap_lens_that_is_not_finite_is_refused(tmp_path, suffix):
+    lens = {1: ("OPENCV", 640, 480, [500.0, 500, 320, 240, 0, math.nan, 0, 0])}
+    write_colmap(tmp_path, lens, [("a.jpg", torch.eye(4).double(), 1)], suffix)
+    with pytest.raises(ValueError, match="lens distortion that is not finite"):
+        read_cameras(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("model", "count"),
+    [("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
+     ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+     ("EUCM", 6)],
+)  # fmt: skip
+def test_every_other_colmap_lens_is_refused_by_name(tmp_path, model, count):
+    parameters = " ".join(["30"] * count)
+    (tmp_path / "cameras.txt").write_text(f"1 {model} 60 60 {parameters}\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    with pytest.raises(ValueError, match=rf"a\.jpg: COLMAP's lens model {model} is not supported"):
+        read_cameras(tmp_path)
+
+
+def test_a_colmap_folder_that_names_a_photo_twice_is_refused(tmp_path):
+    images = [("a.jpg", torch.eye(4).double(), 1)] * 2
+    write_colmap(tmp_path, {1: ("PINHOLE", 60, 40, [50.0, 50, 30, 20])}, images, ".bin")
+    with pytest.raises(ValueError, match=r"names 1 photos more than once, such as a\.jpg"):
+        read_cameras(tmp_path)
 
 
 def test_text_that_is_not_json_is_an_error(tmp_path):
@@ -237,6 +381,30 @@ def test_photos_find_their_cameras_by_path_then_name_then_stem(tmp_path):
     assert [found.name for found in cameras.of(photos)] == ["y/1.jpg", "z/2.png", "z/2.png"]
 
 
+def test_photos_find_their_cameras_whatever_wrote_the_names():
+    cameras = CameraSet(
+        (
+            camera("images\\left\\1.jpg"),
+            camera("./images/right/1"),
+            camera("frame.0001"),
+            camera("frame.0002.JPG"),
+            camera("Caf\u00e9.png"),
+        ),
+        Path("a.json"),
+        "metres",
+    )
+    photos = ["images/left/1.jpg", "images/right/1.webp", "x/frame.0001.jpg", "frame.0002.jpeg",
+              "cafe\u0301.png"]  # fmt: skip
+    found = cameras.of([Path(photo) for photo in photos])
+    assert [each.name for each in found] == [each.name for each in cameras.cameras]
+
+
+def test_the_longest_path_that_fits_goes_first():
+    cameras = CameraSet((camera("1.jpg"), camera("x/1.jpg")), Path("a.json"), "metres")
+    (found,) = cameras.of([Path("y/x/1.jpg")])
+    assert found.name == "x/1.jpg"
+
+
 def test_photos_without_a_camera_are_all_listed(tmp_path):
     cameras = CameraSet((camera("1.jpg"),), tmp_path, "metres")
     photos = [tmp_path / name for name in ("1.jpg", "2.jpg", "3.jpg")]
@@ -256,5 +424,5 @@ def test_distortion_at_the_corner_by_hand():
     # f = 100 on 200 x 200: the corner is at (-1, -1), r^2 = 2; k1 = 0.01 moves it by 2 % of its
     # distance of 141.4 pixels from the middle, 2.83 pixels, which is 1 % of the diagonal.
     intrinsics = torch.tensor([[100.0, 0, 100], [0, 100, 100], [0, 0, 1]]).double()
-    lens = PhotoCamera("a", 200, 200, intrinsics, torch.eye(4).double(), (0.01, 0.0, 0.0, 0.0))
+    lens = PhotoCamera("a", 200, 200, intrinsics, torch.eye(4).double(), Distortion(0.01))
     assert lens.distortion_shift == pytest.approx(0.01)

@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from instok3d.geometry.cameras import project, transform_points
-from instok3d.photos.camera_files import PhotoCamera
 from instok3d.photos.camera_fit import check_distance, check_distortion, fit_camera, same_shape
+from instok3d.photos.cameras import PhotoCamera
+from instok3d.photos.distortion import Distortion
 from instok3d.photos.pixel_map import fit_pixels, upright_from_stored
 
 PHOTO = Path("photo.jpg")
@@ -81,10 +82,10 @@ def test_small_distortion_is_told_and_large_is_refused():
     notes: list[str] = []
     check_distortion([camera(60, 80), camera(60, 80)], notes)
     assert notes == []
-    check_distortion([camera(60, 80), camera(60, 80, distortion=(0.05, 0.0, 0.0, 0.0))], notes)
+    check_distortion([camera(60, 80), camera(60, 80, distortion=Distortion(0.05))], notes)
     assert "lens distortion is ignored" in notes[0]
     with pytest.raises(ValueError, match="undistort the photos first"):
-        check_distortion([camera(60, 80, distortion=(-0.9, 0.0, 0.0, 0.0))], notes)
+        check_distortion([camera(60, 80, distortion=Distortion(-0.9))], notes)
 
 
 def _standing_at(x: float) -> PhotoCamera:

@@ -1,3 +1,4 @@
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def test_pinhole_lenses_project_as_pycolmap_does(tmp_path, suffix):
         (true,) = [i for i in model.images.values() if i.name == camera.name]
         x, y = 0.2, -0.1
         r2 = x * x + y * y
-        k1, k2, p1, p2 = camera.distortion
+        k1, k2, p1, p2, _ = astuple(camera.distortion)
         radial = 1 + k1 * r2 + k2 * r2 * r2
         bent = torch.tensor(
             [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),

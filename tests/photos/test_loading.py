@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from instok3d.photos.camera_files import CameraSet, PhotoCamera
+from instok3d.photos.cameras import CameraSet, PhotoCamera
 from instok3d.photos.loading import PhotoSet, find_images, load_photos, read_photos
 
 

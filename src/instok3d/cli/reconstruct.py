@@ -16,6 +16,7 @@ def run(
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     cameras: Path | None = None,
+    allow_outside: bool = False,
     model: Path | None = None,
     max_views: int = 16,
     seed: int = 0,
@@ -32,6 +33,7 @@ def run(
         output: The scene folder to write, such as room.itk.
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json.
+        allow_outside: Open photos and depth that the camera file names outside of its folder.
         model: A model file instead of the default model.
         max_views: Of more photos, this many are chosen to cover all.
         seed: Same photos, model and seed give the same bytes, on one machine with as many threads.
@@ -43,9 +45,9 @@ def run(
     if not photos:
         raise ValueError("no photos were named: give a folder, files, a pattern or a video")
     make_scene(
-        photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras, model=model,
-        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
-        timings=timings,
+        photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
+        allow_outside=allow_outside, model=model, max_views=max_views, seed=seed, device=device,
+        overwrite=overwrite, json=json, timings=timings,
     )  # fmt: skip
 
 
@@ -54,6 +56,7 @@ def make_scene(
     output: Path,
     *,
     cameras: Path | None = None,
+    allow_outside: bool = False,
     model: Path | None = None,
     max_views: int = 16,
     seed: int = 0,
@@ -75,8 +78,8 @@ def make_scene(
     check_target(output, overwrite=overwrite)
     with plain_warnings():
         scene = reconstruct(
-            photos, cameras=cameras, model=model, seed=seed, max_views=max_views, device=device,
-            progress=clock.begin,
+            photos, cameras=cameras, allow_outside=allow_outside, model=model, seed=seed,
+            max_views=max_views, device=device, progress=clock.begin,
         )  # fmt: skip
         save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
     clock.end()

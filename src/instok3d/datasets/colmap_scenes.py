@@ -1,7 +1,7 @@
 """Scenes that COLMAP made cameras for: any of them, and MipNeRF360 in its own layout."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,11 +11,9 @@ from instok3d.datasets.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.datasets.preparation import Frames, SceneJob, estimate_bytes
 from instok3d.datasets.prepared import Dataset, DroppedFrame, SceneInfo, Split
 from instok3d.photos import colmap_files
-from instok3d.photos.camera_files import read_cameras
+from instok3d.photos.camera_files import read_colmap_cameras
+from instok3d.photos.file_names import IMAGE_SUFFIXES, loose_key, portable, shortened
 from instok3d.photos.image_decoding import own_pixel_limit
-from instok3d.photos.image_files import IMAGE_SUFFIXES
-
-_MODEL_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "0", ".")
 
 
 @dataclass(frozen=True)
@@ -68,14 +66,19 @@ class ColmapSource:
                 stacklevel=3,
             )
 
-    def _job(self, scene: Path, model: Path) -> SceneJob:
+    def _job(self, scene: Path, model: Path | ValueError) -> SceneJob:
         photos = scene / self.images  # if it is not there, the job will say so
-        there = sorted(p for p in photos.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
-        origin = origin_of(there, *(f.read_bytes() for f in colmap_files.model_files(model)))
+        there = [path for _, path in _photos_below(photos)]
+        if isinstance(model, ValueError):
+            origin, frames = "damaged", partial(_refuse, str(model))
+        else:
+            _warn_of_unnamed_photos(model, photos, there)
+            origin = origin_of(there, *(f.read_bytes() for f in colmap_files.model_files(model)))
+            frames = partial(colmap_frames, model, photos, self.size)
         settings = {"size": self.size, "images": self.images, "origin": origin}
         info = SceneInfo(scene.absolute().name, self.dataset, self.split, "arbitrary", settings)
         estimate = estimate_bytes(len(there), self.size, self.size, ("images",))
-        return SceneJob(info, estimate, partial(colmap_frames, model, photos, self.size))
+        return SceneJob(info, estimate, frames)
 
 
 @dataclass(frozen=True)
@@ -106,32 +109,61 @@ def colmap_frames(model: Path, photos: Path, size: int) -> Frames:
     if not photos.is_dir():
         raise FileNotFoundError(f"there is no folder of photos {photos}; name it with --images")
     numbers = {image.name: image.number for image in colmap_files.read_model(model)}
-    cameras = read_cameras(model).cameras
-    if len(numbers) < len(cameras):
-        raise ValueError(f"the COLMAP model {model} has several images of one name")
-    files = dict(_photos_below(photos))
+    cameras = read_colmap_cameras(model).cameras
+    by_name, by_key = dict(_photos_below(photos)), _by_loose_key(photos)
     with own_pixel_limit():
         for camera in sorted(cameras, key=lambda camera: numbers[camera.name]):
-            photo = files.get(camera.name) or files.get(_stem(Path(camera.name)))
-            if photo is None:
-                yield DroppedFrame(camera.name, "a missing picture")
+            exact = by_name.get(portable(camera.name))
+            alike = [exact] if exact else by_key.get(loose_key(camera.name), [])
+            if len(alike) > 1:
+                raise ValueError(
+                    f"{model} names {camera.name}, which may be "
+                    f"{' or '.join(path.name for path in alike)} in {photos}; keep one"
+                )
+            if alike:
+                yield prepared_photo(PhotoFiles(alike[0], camera.name, camera), size)
             else:
-                yield prepared_photo(PhotoFiles(photo, camera.name, camera), size)
+                yield DroppedFrame(camera.name, "a missing picture")
 
 
-def _photos_below(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every photo under its path, and under its path without ending."""
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-            name = path.relative_to(folder)
-            yield _stem(name), path
-            yield name.as_posix(), path
+def _photos_below(folder: Path) -> list[tuple[str, Path]]:
+    """Every photo and its path in the folder."""
+    return [
+        (path.relative_to(folder).as_posix(), path)
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()
+    ]
 
 
-def _stem(name: Path) -> str:
-    return name.with_suffix("").as_posix()
+def _by_loose_key(folder: Path) -> dict[str, list[Path]]:
+    found: dict[str, list[Path]] = {}
+    for name, path in _photos_below(folder):
+        found.setdefault(loose_key(name), []).append(path)
+    return found
 
 
-def _model_of(scene: Path) -> Path | None:
-    places = (scene / place for place in _MODEL_PLACES)
-    return next((place for place in places if colmap_files.is_model(place)), None)
+def _warn_of_unnamed_photos(model: Path, photos: Path, there: Sequence[Path]) -> None:
+    try:
+        named = {loose_key(image.name) for image in colmap_files.read_model(model)}
+    except ValueError:  # the job will say so
+        return
+    names = [path.relative_to(photos).as_posix() for path in there]
+    unnamed = [name for name in names if loose_key(name) not in named]
+    if unnamed:
+        warnings.warn(
+            f"{len(unnamed)} of {len(there)} photos in {photos} have no camera in {model} and are "
+            f"left out: {shortened(unnamed)}",
+            stacklevel=4,
+        )
+
+
+def _model_of(scene: Path) -> Path | ValueError | None:
+    """The model of a scene; or why it cannot be read, for a job that fails alone."""
+    try:
+        return colmap_files.find_model(scene)
+    except ValueError as error:
+        return error
+
+
+def _refuse(reason: str) -> Frames:
+    raise ValueError(reason)

@@ -9,7 +9,7 @@ from pathlib import Path
 from instok3d.datasets.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.datasets.preparation import SceneJob, estimate_bytes
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, Split
-from instok3d.photos.camera_files import CameraSet
+from instok3d.photos.cameras import CameraSet
 from instok3d.photos.captures import find_photos_and_cameras
 from instok3d.photos.image_decoding import own_pixel_limit
 
@@ -27,6 +27,8 @@ class FootageSource:
     """Folder of id maps: NAME.png of 8 or 16 bits for each photo NAME.*, of its size; 0 = none."""
     cameras: Path | None = None
     """COLMAP folder, transforms.json, or scene.json (with depth); every photo must be there."""
+    allow_outside: bool = False
+    """Open photos and depth that the camera file names outside of its folder."""
     name: str | None = None
     """Of the scene; that of the folder if not given. Scenes of one folder need different names."""
     size: int = 256
@@ -43,7 +45,9 @@ class FootageSource:
         """
         if self.size < 1:
             raise ValueError(f"size must be 1 or more, got {self.size}")
-        photos, cameras = find_photos_and_cameras(self.folder, self.cameras)
+        photos, cameras = find_photos_and_cameras(
+            self.folder, self.cameras, allow_outside=self.allow_outside
+        )
         files = _files_of(photos, cameras, self.masks)
         layers = ["images"]
         layers += ["depths"] * files[0].with_depth + ["instances"] * (self.masks is not None)

@@ -16,10 +16,11 @@ from torch import Tensor
 from instok3d.datasets.prepared import PreparedFrame
 from instok3d.datasets.scannet.id_maps import read_id_png
 from instok3d.geometry.cameras import invert_rigid
-from instok3d.photos.camera_files import PhotoCamera
 from instok3d.photos.camera_fit import fit_camera
+from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.cropping import crop_about_principal_point, crop_values
 from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
+from instok3d.photos.distortion import Distortion
 from instok3d.photos.image_decoding import DecodedPhoto, decode_photo
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.photos.undistortion import Undistortion, undistortion
@@ -73,7 +74,7 @@ def prepared_photo(files: PhotoFiles, size: int) -> PreparedFrame:
         _tell(decoded)
         ids = None if files.ids is None else crop_values(_ids(files, decoded), decoded.pixel_map)
         return PreparedFrame(files.source, _bytes(decoded), None, None, instances=ids)
-    bent = any(files.camera.distortion)
+    bent = bool(files.camera.distortion)
     fine = _SUPERSAMPLING * size if bent else size
     decoded = decode_photo(
         files.photo, height=fine, width=fine, fit=partial(_crop, files.camera, files.photo, fine)
@@ -133,8 +134,8 @@ def _tell(decoded: DecodedPhoto, notes: list[str] | None = None) -> None:
         warnings.warn(note, stacklevel=4)
 
 
-def _turned(camera: PhotoCamera, turned_by: int, photo: Path) -> tuple[float, float, float, float]:
-    if turned_by != 1 and any(camera.distortion[2:]):
+def _turned(camera: PhotoCamera, turned_by: int, photo: Path) -> Distortion:
+    if turned_by != 1 and camera.distortion.is_tangential:
         raise ValueError(
             f"{photo} is turned by EXIF and its lens has tangential distortion; undistort the "
             "photos first (colmap image_undistorter)"

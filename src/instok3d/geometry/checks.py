@@ -37,7 +37,9 @@ def check_rigid(
     """
     fault = rigid_fault(matrix, tolerance=tolerance)
     if fault is not None:
-        raise ValueError(f"{where} {fault}; write its pose as a rotation and a translation")
+        raise ValueError(
+            f"{where} {fault}; wanted a rotation and a translation below {MAX_DISTANCE:.0e} units"
+        )
     exact = matrix.double()
     u, _, vh = torch.linalg.svd(exact[:3, :3])
     return torch.cat(
@@ -65,8 +67,7 @@ def rigid_fault(
     distance = float(matrix[:3, 3].norm())
     if distance > MAX_DISTANCE:
         return (
-            f"stands {distance:.3g} units from the origin, farther than {MAX_DISTANCE:.0e}, which "
-            "single precision cannot hold"
+            f"stands {distance:.3g} units from the origin, too far for single precision"
         )
     return None
 
@@ -95,7 +96,7 @@ def check_intrinsics(
     """
     if min(width, height) < 1 or max(width, height) > MAX_SIDE:
         raise ValueError(
-            f"{where} cannot have an image of {width} x {height} pixels; sides are 1 to {MAX_SIDE}"
+            f"{where} cannot have {width} x {height} pixels; an image has 1 to {MAX_SIDE} a side"
         )
     fault = _intrinsics_fault(matrix.double(), width, height, margin)
     if fault is not None:
@@ -114,7 +115,7 @@ def _intrinsics_fault(
         return "has intrinsics that are not finite"
     (fx, skew, cx), (lower, fy, cy), last = matrix.tolist()
     if min(fx, fy) <= 0:
-        return f"has the focal lengths {fx:g} and {fy:g}, which must be above 0"
+        return f"has the focal length {min(fx, fy):g}, which must be above 0"
     if max(abs(last[0]), abs(last[1]), abs(last[2] - 1)) > _ROUNDING:
         return f"has intrinsics whose last row is {_numbers(matrix[2])}, not 0 0 1"
     if abs(lower) > _ROUNDING * fy:
@@ -123,12 +124,12 @@ def _intrinsics_fault(
         return f"has intrinsics with a skew of {skew:g}, which is not supported"
     low, high = FOCAL_RANGE
     if not (low * width <= fx <= high * width and low * height <= fy <= high * height):
-        return f"has the focal lengths {fx:g} and {fy:g}, which are those of another image size"
+        return f"has the focal lengths {fx:g} and {fy:g}, which are those of another size"
     if not (
         -margin * width <= cx <= (1 + margin) * width
         and -margin * height <= cy <= (1 + margin) * height
     ):
-        return f"has the principal point ({cx:g}, {cy:g}), which is that of another image size"
+        return f"has the principal point ({cx:g}, {cy:g}), which is that of another size"
     return None
 
 

@@ -9,11 +9,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid
-from instok3d.photos.camera_files import PhotoCamera
+from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.pixel_map import PixelMap, upright_from_stored
 
 MAX_DISTORTION = 0.05
-"""Of the image diagonal, at the outermost corner: more lens distortion is refused."""
+"""Of the image diagonal: a lens that moves any pixel by more is refused."""
 _MIRRORED = (2, 4, 5, 7)
 
 
@@ -94,18 +94,19 @@ def check_distortion(cameras: Sequence[PhotoCamera], notes: list[str]) -> None:
     """Refuse lenses that are far from a pinhole, and note what is ignored in the others.
 
     Raises:
-        ValueError: A lens moves a corner by more than MAX_DISTORTION.
+        ValueError: A lens moves a pixel by more than MAX_DISTORTION.
     """
-    worst = max(cameras, key=lambda camera: camera.distortion_shift)
-    shift = worst.distortion_shift
+    shifts = [camera.distortion_shift for camera in cameras]
+    shift = max(shifts)
+    worst = cameras[shifts.index(shift)]
     if not shift <= MAX_DISTORTION:
         raise ValueError(
-            f"the lens of {worst.name} moves its corners by {shift:.0%} of the image diagonal, "
+            f"the lens of {worst.name} moves pixels by {shift:.0%} of the image diagonal, "
             f"more than {MAX_DISTORTION:.0%}; undistort the photos first"
         )
     if shift > 0:
         notes.append(
-            f"lens distortion is ignored: it moves the corners by up to {shift:.1%} of the image "
+            f"lens distortion is ignored: it moves pixels by up to {shift:.1%} of the image "
             "diagonal"
         )
 

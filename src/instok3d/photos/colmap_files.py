@@ -1,15 +1,23 @@
 """Reading COLMAP's cameras and images, binary or text (format: COLMAP's output-format page)."""
 
 import math
+import os
+import re
 import struct
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.rotations import quat_to_matrix
+from instok3d.photos.distortion import Distortion
+from instok3d.photos.file_names import entry_of_any_case, read_text, shortened
+
+Item = TypeVar("Item")
 
 # Names in the order of COLMAP's model ids, and how many parameters each has.
 _MODELS = (
@@ -45,13 +53,10 @@ class ColmapCamera:
         )
 
     @property
-    def distortion(self) -> tuple[float, float, float, float]:
-        """k1, k2, p1, p2 of OpenCV's model."""
-        p = self.parameters
-        if self.model == "OPENCV":
-            return p[4], p[5], p[6], p[7]
-        k1 = p[3] if self.model in ("SIMPLE_RADIAL", "RADIAL") else 0.0
-        return k1, p[4] if self.model == "RADIAL" else 0.0, 0.0, 0.0
+    def distortion(self) -> Distortion:
+        """Of the models that `pinhole` supports."""
+        first = {"SIMPLE_RADIAL": 3, "RADIAL": 3, "OPENCV": 4}.get(self.model)
+        return Distortion() if first is None else Distortion(*self.parameters[first:])
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,43 @@ class ColmapImage:
     camera: ColmapCamera
 
 
-def is_model(folder: Path) -> bool:
-    """Whether a folder holds COLMAP's cameras and images."""
+def find_model(folder: Path) -> Path | None:
+    """Where a folder holds COLMAP's cameras and images: there, in sparse, sparse/0, sparse/1, ...
+
+    COLMAP writes one model for each part of the photos that hangs together. The one with the most
+    photos is taken, and a warning says which others there are and how many photos only they have.
+
+    Returns:
+        The model's folder, or None if there is no model.
+
+    Raises:
+        ValueError: There are several models and one of them is damaged.
+    """
+    models = [place for place in _places(folder) if holds_model(place)]
+    if len(models) < 2:
+        return models[0] if models else None
+    names = {model: {image.name for image in read_model(model)} for model in models}
+    largest = max(models, key=lambda model: len(names[model]))  # the first of equals
+    lost = set().union(*names.values()) - names[largest]
+    listed = ", ".join(f"{_relative(m, folder)} with {len(names[m])} photos" for m in models)
+    left_out = f", which leaves out {len(lost)} photos: {shortened(sorted(lost))}" if lost else ""
+    warnings.warn(
+        f"{folder} holds {len(models)} COLMAP models ({listed}); "
+        f"{_relative(largest, folder)} is used{left_out}",
+        stacklevel=2,
+    )
+    return largest
+
+
+def holds_model(folder: Path) -> bool:
+    """Whether COLMAP's cameras and images lie in this very folder."""
     return _suffix(folder) is not None
 
 
 def model_files(folder: Path) -> tuple[Path, Path]:
     """COLMAP's cameras and images files in a folder; the binary ones if both forms exist.
+
+    Letter case does not count: RealityCapture writes Cameras.txt.
 
     Raises:
         FileNotFoundError: The folder holds no model.
@@ -82,7 +117,10 @@ def model_files(folder: Path) -> tuple[Path, Path]:
     suffix = _suffix(folder)
     if suffix is None:
         raise FileNotFoundError(f"{folder} lacks COLMAP's cameras and images files")
-    return folder / f"cameras{suffix}", folder / f"images{suffix}"
+    cameras, images = (entry_of_any_case(folder, name + suffix) for name in ("cameras", "images"))
+    assert cameras is not None
+    assert images is not None
+    return cameras, images
 
 
 def read_model(folder: Path) -> list[ColmapImage]:
@@ -94,22 +132,40 @@ def read_model(folder: Path) -> list[ColmapImage]:
     """
     cameras_file, images_file = model_files(folder)
     try:
-        if cameras_file.suffix == ".bin":
+        if _suffix(folder) == ".bin":
             cameras = _cameras_from_bytes(cameras_file.read_bytes())
             images = _images_from_bytes(images_file.read_bytes(), cameras)
         else:
-            cameras = _cameras_from_text(cameras_file.read_text(encoding="utf-8"))
-            images = _images_from_text(images_file.read_text(encoding="utf-8"), cameras)
+            cameras = _cameras_from_text(read_text(cameras_file))
+            images = _images_from_text(read_text(images_file), cameras)
     except (struct.error, IndexError) as error:
         raise ValueError(f"the COLMAP files in {folder} are cut off; export them again") from error
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, OverflowError) as error:
         raise ValueError(f"the COLMAP files in {folder} are damaged: {error}") from error
     return sorted(images, key=lambda image: image.name)
 
 
+def _places(folder: Path) -> list[Path]:
+    """Folders that may hold a model, those that COLMAP itself writes first."""
+    places: list[Path] = []
+    for part in ("sparse", "colmap/sparse", "."):
+        parent: Path | None = folder
+        for name in part.split("/"):
+            parent = None if parent is None else entry_of_any_case(parent, name)
+        if parent is not None and parent.is_dir():
+            numbered = [entry for entry in parent.iterdir() if entry.name.isdecimal()]
+            places += [*sorted(numbered, key=lambda entry: int(entry.name)), parent]
+    return [place for place in places if place.is_dir()]
+
+
+def _relative(place: Path, folder: Path) -> str:
+    return place.relative_to(folder).as_posix()
+
+
 def _suffix(folder: Path) -> str | None:
     for suffix in (".bin", ".txt"):
-        if (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file():
+        files = [entry_of_any_case(folder, name + suffix) for name in ("cameras", "images")]
+        if all(file is not None and file.is_file() for file in files):
             return suffix
     return None
 
@@ -123,52 +179,104 @@ def _cameras_from_bytes(data: bytes) -> dict[int, ColmapCamera]:
             raise ValueError(f"unknown lens model {model_id}")
         model, length = _MODELS[model_id]
         parameters = struct.unpack_from(f"<{length}d", data, at + 24)
-        cameras[number] = ColmapCamera(model, height, width, parameters)
+        _add(cameras, number, ColmapCamera(model, height, width, parameters))
         at += 24 + 8 * length
+    _check_end(data, at, f"{count} cameras")
     return cameras
 
 
 def _images_from_bytes(data: bytes, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
     (count,) = struct.unpack_from("<Q", data, 0)
-    at, images = 8, []
+    at, images = 8, {}
     for _ in range(count):
         number, *pose, camera = struct.unpack_from("<i7di", data, at)
         end = data.find(b"\0", at + 64)
         if end < 0:
             raise IndexError("a name without its end")
-        name = data[at + 64 : end].decode("utf-8")
-        images.append(_image(number, name, pose, camera, cameras))
+        name = os.fsdecode(data[at + 64 : end])
+        _add(images, number, _image(number, name, pose, camera, cameras))
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + 24 * points
         if at > len(data):
             raise IndexError("points beyond the end of the file")
-    return images
+    _check_end(data, at, f"{count} images")
+    return list(images.values())
+
+
+def _check_end(data: bytes, at: int, what: str) -> None:
+    if at != len(data):
+        raise ValueError(f"{len(data) - at} bytes follow the {what} that the file promises")
 
 
 def _cameras_from_text(text: str) -> dict[int, ColmapCamera]:
-    cameras = {}
-    for line in text.splitlines():
-        if not line.strip() or line.startswith("#"):
+    cameras: dict[int, ColmapCamera] = {}
+    for line in _lines(text):
+        if not line:
             continue
         number, model, width, height, *parameters = line.split()
         if len(parameters) != _COUNTS.get(model):
             raise ValueError(f"the lens model {model} with {len(parameters)} parameters")
-        cameras[int(number)] = ColmapCamera(
-            model, int(height), int(width), tuple(map(float, parameters))
-        )
+        camera = ColmapCamera(model, int(height), int(width), tuple(map(float, parameters)))
+        _add(cameras, int(number), camera)
+    _check_promise(text, len(cameras), "cameras")
     return cameras
 
 
 def _images_from_text(text: str, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    images = []
-    for line in lines[::2]:  # every second line lists 2D points and may be empty
-        if not line.strip():
+    """A line for each image; then one that lists its 2D points, which may be empty or not there.
+
+    The two kinds cannot be taken for each other: points are triples of x, y and a whole number,
+    a line of an image ends in a name.
+    """
+    images: dict[int, ColmapImage] = {}
+    may_be_points = False
+    for line in _lines(text):
+        if not line or (may_be_points and _is_points(line)):
+            may_be_points = False
             continue
-        number, *rest = line.split(maxsplit=9)
-        pose, camera, name = [float(value) for value in rest[:7]], int(rest[7]), rest[8].strip()
-        images.append(_image(int(number), name, pose, camera, cameras))
-    return images
+        try:
+            number, *rest = line.split(maxsplit=9)
+            pose, camera, name = [float(value) for value in rest[:7]], int(rest[7]), rest[8]
+            _add(images, int(number), _image(int(number), name, pose, camera, cameras))
+        except IndexError as error:
+            raise ValueError(f"the line {line[:60]!r} is neither an image nor points") from error
+        may_be_points = True
+    _check_promise(text, len(images), "images")
+    return list(images.values())
+
+
+def _lines(text: str) -> list[str]:
+    """Without comments; other characters that Python takes for line ends may be in names."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return [line.strip(" \t") for line in lines if not line.lstrip().startswith("#")]
+
+
+def _is_points(line: str) -> bool:
+    words = line.split()
+    first = words[:30]  # enough to tell, and lines are long
+    whole = all(word.lstrip("-").isdecimal() for word in first[2::3])
+    return len(words) % 3 == 0 and whole and all(map(_is_number, first))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_promise(text: str, count: int, what: str) -> None:
+    """COLMAP writes how many there are into a comment, by which a cut file can be told."""
+    promised = re.search(rf"^#\s*Number of {what}: (\d+)", text, re.MULTILINE)
+    if promised is not None and count < int(promised[1]):
+        raise ValueError(f"it says that it holds {promised[1]} {what}, but lists {count}")
+
+
+def _add(items: dict[int, Item], number: int, item: Item) -> None:
+    if number in items:
+        raise ValueError(f"the number {number} is used twice")
+    items[number] = item
 
 
 def _image(

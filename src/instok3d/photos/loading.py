@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from instok3d.photos.camera_files import CameraSet, PhotoCamera
 from instok3d.photos.camera_fit import check_distance, check_distortion, fit_camera, same_shape
+from instok3d.photos.cameras import CameraSet, PhotoCamera
 from instok3d.photos.captures import find_photos_and_cameras
 from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
 from instok3d.photos.image_decoding import MAX_PIXELS, DecodedPhoto, decode_photo, own_pixel_limit
@@ -59,6 +59,7 @@ def read_photos(
     max_pixels: int = MAX_PIXELS,
     fit: Fit = "crop",
     cameras: str | Path | None = None,
+    allow_outside: bool = False,
 ) -> PhotoSet:
     """`find_photos_and_cameras` and `load_photos` in one call; `warnings` holds those of both.
 
@@ -69,7 +70,7 @@ def read_photos(
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        paths, known = find_photos_and_cameras(source, cameras)
+        paths, known = find_photos_and_cameras(source, cameras, allow_outside=allow_outside)
         photos = load_photos(
             paths,
             height=height,

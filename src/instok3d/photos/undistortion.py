@@ -1,4 +1,4 @@
-"""Taking lens distortion out of pictures: OpenCV's k1, k2, p1, p2."""
+"""Taking lens distortion out of pictures."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.geometry.cameras import pixel_rays
+from instok3d.photos.distortion import Distortion
 
 MAX_ZOOM = 1.5
 
@@ -54,7 +55,7 @@ class Undistortion:
 
 def undistortion(
     intrinsics: Float[Tensor, "3 3"],
-    distortion: tuple[float, float, float, float],
+    distortion: Distortion,
     height: int,
     width: int,
 ) -> Undistortion:
@@ -65,7 +66,7 @@ def undistortion(
 
     Args:
         intrinsics: Of the lens's picture at height x width, float64.
-        distortion: k1, k2, p1, p2.
+        distortion: Of the lens.
         height: Of both pictures.
         width: Of both pictures.
 
@@ -77,37 +78,13 @@ def undistortion(
     for zoom in np.arange(1.0, MAX_ZOOM, 0.005):
         zoomed = intrinsics * intrinsics.new_tensor([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
         points = pixel_rays(zoomed, height, width)[..., :2]
-        bent = _bend(points, distortion)
+        bent = distortion.bend(points)
         positions = (bent @ intrinsics[:2, :2].T + intrinsics[:2, 2]) / size
         covered = ((positions >= -margin) & (positions <= 1 + margin)).all()
-        if covered and not _folds(points, distortion):
+        if covered and not distortion.folds(points):
             return Undistortion(zoomed, positions)
     raise ValueError(
         f"the lens distortion {distortion} leaves gaps in the undistorted picture even at "
         f"{MAX_ZOOM:g} times its focal length; undistort the photos first "
         "(colmap image_undistorter)"
     )
-
-
-def _bend(
-    points: Float[Tensor, "*point 2"], distortion: tuple[float, float, float, float]
-) -> Float[Tensor, "*point 2"]:
-    k1, k2, p1, p2 = distortion
-    x, y = points.unbind(-1)
-    r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2 * r2
-    return torch.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        dim=-1,
-    )
-
-
-def _folds(
-    points: Float[Tensor, "*point 2"], distortion: tuple[float, float, float, float]
-) -> bool:
-    """Whether the lens brings some farther points nearer to the middle, as its model may."""
-    r2 = points.square().sum(dim=-1)
-    return bool((1 + 3 * distortion[0] * r2 + 5 * distortion[1] * r2 * r2 <= 0).any())

@@ -34,6 +34,7 @@ def reconstruct(
     photos: str | Path | Sequence[str | Path],
     *,
     cameras: str | Path | None = None,
+    allow_outside: bool = False,
     model: str | Path | Tokenizer | None = None,
     seed: int = 0,
     max_views: int = 16,
@@ -50,6 +51,7 @@ def reconstruct(
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json. The scene is then in their world and units; otherwise in the frame of
             the first photo's camera and in arbitrary units.
+        allow_outside: Let the camera file name photos and depth outside of its folder.
         model: A model file, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
         max_views: Of more photos, this many are chosen to cover all.
@@ -72,7 +74,10 @@ def reconstruct(
     path = None if model is None or in_memory else Path(model)
     card = {} if in_memory else read_card(path)
     side = int(card.get("image_side", IMAGE_SIDE))
-    photo_set = read_photos(photos, height=side, width=side, max_views=max_views, cameras=cameras)
+    photo_set = read_photos(
+        photos, height=side, width=side, max_views=max_views, cameras=cameras,
+        allow_outside=allow_outside,
+    )  # fmt: skip
     begin("model")
     if not in_memory:
         work = Work(photo_set.views.images.shape[1], side, side)
