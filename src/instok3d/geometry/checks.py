@@ -66,9 +66,7 @@ def rigid_fault(
         return "has a mirrored camera (its rotation is left-handed)"
     distance = float(matrix[:3, 3].norm())
     if distance > MAX_DISTANCE:
-        return (
-            f"stands {distance:.3g} units from the origin, too far for single precision"
-        )
+        return f"stands {distance:.3g} units from the origin, too far for single precision"
     return None
 
 
