@@ -179,6 +179,48 @@ class Gaussians(Scenes):
         return self.map(lambda tensor: tensor[which])
 
 
+MAX_LENGTH = 1e9
+"""Of scales and coordinates; fourth powers of it are still finite in single precision."""
+
+
+def check_gaussians(gaussians: Gaussians, where: object) -> None:
+    """Refuse Gaussians that cannot be drawn.
+
+    Args:
+        gaussians: Of one scene or of a batch.
+        where: The file or object that holds them, the subject of the message.
+
+    Raises:
+        ValueError: A value is not finite, a centre or scale is beyond MAX_LENGTH, a scale is not
+            above 0, an opacity is outside [0, 1], a quaternion is not of unit length, there are
+            not 1, 4, 9 or 16 colour coefficients, or an anchor_index is negative.
+    """
+    sound = {
+        "means": gaussians.means.abs() <= MAX_LENGTH,
+        "quats": (gaussians.quats.norm(dim=-1) - 1).abs() <= 1e-3,
+        "scales": (gaussians.scales > 0) & (gaussians.scales <= MAX_LENGTH),
+        "opacities": (gaussians.opacities >= 0) & (gaussians.opacities <= 1),
+        "sh": gaussians.sh.isfinite(),
+        "anchor_index": gaussians.anchor_index >= 0,
+    }
+    wanted = {
+        "means": f"finite numbers within {MAX_LENGTH:.0e}",
+        "quats": "quaternions of unit length",
+        "scales": f"lengths above 0 and within {MAX_LENGTH:.0e}",
+        "opacities": "numbers in [0, 1]",
+        "sh": "finite numbers",
+        "anchor_index": "row numbers",
+    }
+    for name, good in sound.items():
+        if not good.all():
+            count = int((~good).sum())
+            raise ValueError(f"{where} has {count} values in {name} that are no {wanted[name]}")
+    if gaussians.sh.shape[-2] not in (1, 4, 9, 16):
+        raise ValueError(
+            f"{where} has {gaussians.sh.shape[-2]} colour coefficients in sh, wanted 1, 4, 9 or 16"
+        )
+
+
 @dataclass(frozen=True)
 class TokenGroups(Flow):
     """What the tokenizer returns: a scene as anchors, groups, and which anchor is whose."""

@@ -11,7 +11,7 @@ from PIL import Image
 from instok3d.render import render
 from instok3d.scene.ply import read_ply, write_ply
 from instok3d.scene.scene import Scene
-from instok3d.types import Cameras, Gaussians
+from instok3d.types import MAX_LENGTH, Cameras, Gaussians, check_gaussians
 from made_scene import made_scene, made_tokens
 
 
@@ -80,6 +80,81 @@ def test_opacities_of_exactly_0_and_1_stay_finite(tmp_path: Path):
     torch.testing.assert_close(read_ply(tmp_path / "a.ply").opacities, opacities, atol=2e-6, rtol=0)
 
 
+def rows_of(file: Path) -> np.ndarray:
+    """The numbers of a PLY of floats alone, to be changed in place."""
+    header, _ = file.read_bytes().split(b"end_header\n")
+    names = [line.split()[2].decode() for line in header.splitlines() if b"property" in line]
+    return np.memmap(file, [(n, "<f4") for n in names], "r+", offset=len(header) + 11)
+
+
+def test_full_opacity_and_flat_gaussians_of_others_are_kept(tmp_path: Path):
+    # A logit of +-inf and a logarithm of -inf are what others write for 1, 0 and a scale of 0.
+    gaussians = made_scene(made_tokens()).gaussians
+    write_ply(tmp_path / "a.ply", gaussians)
+    rows = rows_of(tmp_path / "a.ply")
+    rows["opacity"][:2] = np.inf, -np.inf
+    rows["scale_2"][0] = -np.inf
+    rows.flush()
+    again = read_ply(tmp_path / "a.ply")
+    check_gaussians(again, "a.ply")
+    assert len(again.means) == len(gaussians.means)
+    assert again.opacities[0] == 1
+    assert 0 <= again.opacities[1] < 1e-30
+    assert 0 < again.scales[0, 2] < 1e-30
+    write_ply(tmp_path / "b.ply", again)
+    torch.testing.assert_close(read_ply(tmp_path / "b.ply").opacities[:2], torch.tensor([1.0, 0]),
+                               atol=2e-6, rtol=0)  # fmt: skip
+
+
+def test_whatever_can_be_drawn_comes_back(tmp_path: Path):
+    tiny = torch.finfo(torch.float32).tiny
+    scales = torch.tensor([tiny, 1e-20, 1e-9, 1.0, 1e5, MAX_LENGTH])
+    gaussians = Gaussians(
+        means=torch.tensor([[-MAX_LENGTH, 0.0, MAX_LENGTH]]).expand(6, 3).contiguous(),
+        quats=torch.tensor([[0.0, 0, 0, -1]]).expand(6, 4).contiguous(),
+        scales=scales[:, None].expand(6, 3).contiguous(),
+        opacities=torch.tensor([0.0, 1e-6, 0.5, 0.999, 1 - 1e-6, 1.0]),
+        sh=torch.tensor([-1e30, 1e30]).view(1, 1, 2)[:, :, [0, 1, 0]].repeat(6, 1, 1),
+        anchor_index=torch.zeros(6, dtype=torch.long),
+    )
+    check_gaussians(gaussians, "made by hand")
+    write_ply(tmp_path / "a.ply", gaussians, sh_degree=0)
+    again = read_ply(tmp_path / "a.ply")
+    check_gaussians(again, "a.ply")
+    for name in ("means", "quats", "sh"):
+        assert torch.equal(getattr(again, name), getattr(gaussians, name)), name
+    # The logarithm of the smallest has 5 digits before its point and 3e-6 behind the last one.
+    torch.testing.assert_close(again.scales, gaussians.scales, rtol=1e-5, atol=0)
+    torch.testing.assert_close(again.opacities, gaussians.opacities, rtol=0, atol=2e-6)
+
+
+def test_quaternions_of_any_length_but_0_are_rotations(tmp_path: Path):
+    gaussians = made_scene(made_tokens()).gaussians
+    write_ply(tmp_path / "a.ply", gaussians)
+    rows = rows_of(tmp_path / "a.ply")
+    for row, factor in enumerate((1e-30, 1e30, 3.0, 0.0)):
+        for i in range(4):
+            rows[f"rot_{i}"][row] *= factor
+    rows.flush()
+    with pytest.warns(UserWarning, match=r"dropped 1 Gaussians .* a quaternion of length 0"):
+        again = read_ply(tmp_path / "a.ply")
+    torch.testing.assert_close(again.quats[:3], gaussians.quats[:3])
+    check_gaussians(again, "a.ply")
+
+
+def test_doubles_beyond_single_precision_are_dropped_with_a_warning(tmp_path: Path):
+    write_ply(tmp_path / "a.ply", one_gaussian(), sh_degree=0)
+    header, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    numbers = np.frombuffer(body, "<f4").astype("<f8")
+    numbers[0] = 1e300
+    (tmp_path / "a.ply").write_bytes(
+        header.replace(b"property float", b"property double") + b"end_header\n" + numbers.tobytes()
+    )
+    with pytest.warns(UserWarning, match="dropped 1 Gaussians") as warnings:
+        assert len(read_ply(tmp_path / "a.ply").means) == 0
+    assert len(warnings) == 1
+
+
 def test_no_gaussians_make_a_file_too(tmp_path: Path):
     empty = Gaussians(**{name: value[:0] for name, value in vars(one_gaussian()).items()})
     write_ply(tmp_path / "a.ply", empty)
@@ -106,6 +181,11 @@ def test_damaged_files_are_refused_before_anything_is_allocated(tmp_path: Path):
         "promises 999999999999 Gaussians": whole.replace(b"vertex 1\n", b"vertex 999999999999\n"),
         "found format ascii": whole.replace(b"binary_little_endian", b"ascii"),
         "missing or doubled columns .'opacity'.": whole.replace(b"property float opacity\n", b""),
+        "missing or doubled columns .'f_rest_0'.": whole.replace(b"f_rest_0\n", b"f_rest_99\n"),
+        "one row a Gaussian, found: vertex 9999": whole.replace(
+            b"vertex 1\n", b"vertex " + b"9" * 5000 + b"\n"
+        ),
+        "found: ;": whole.replace(b"element vertex 1\n", b"element\n"),
         "cannot read the property": whole.replace(b"float opacity\n", b"list uchar int a\n"),
         "no header found": b"\x89PNG\r\n",
         "no header found in": b"ply\n" + b"comment x\n" * 50_000,

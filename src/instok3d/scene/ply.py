@@ -1,21 +1,26 @@
 """Gaussians as the PLY files of 3D Gaussian Splatting, which every splat viewer opens."""
 
+import math
 import warnings
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Num
+from jaxtyping import Int, Num
 from torch import Tensor
 
 from instok3d.files import replacing
 from instok3d.scene.scene import Scene
-from instok3d.types import Gaussians
+from instok3d.types import MAX_LENGTH, Gaussians
 
 HEADER_LIMIT_BYTES = 128 * 1024
 OPACITY_LIMIT = 1e-6
-"""Opacities are kept this far from 0 and 1, where the logit is infinite."""
-LOG_SCALE_LIMIT = 20.0
+"""Opacities are written this far from 0 and 1, where the logit is infinite."""
+LOGIT_LIMIT = 80.0
+"""Infinite logits are read as this one, which single precision cannot tell from 0 or 1 either."""
+SCALES = (torch.finfo(torch.float32).tiny, MAX_LENGTH)
+"""What scales are kept within. Others write flat Gaussians with scale 0, whose logarithm is
+infinite."""
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2",
@@ -73,8 +78,9 @@ def write_ply(
 def read_ply(path: Path) -> Gaussians:
     """Unbatched Gaussians of a 3DGS PLY file, on the CPU in float32; anchor_index is all 0.
 
-    The header is checked against the file's size before anything is allocated. Rows with a
-    number that is not finite are dropped with a warning.
+    The header is checked against the file's size before anything is allocated. An infinite logit
+    is full or no opacity, a scale of 0 becomes a tiny one. Rows that cannot be drawn are dropped
+    with a warning: numbers that are not finite, quaternions of length 0.
 
     Raises:
         FileNotFoundError: No such file.
@@ -116,7 +122,7 @@ def _columns(gaussians: Gaussians, sh_degree: int) -> dict[str, Num[np.ndarray, 
     rest = rest[:, :count].mT.reshape(sh.shape[0], 3 * count).numpy()
     opacities = gaussians.opacities.detach().cpu().double()
     logits = opacities.clamp(OPACITY_LIMIT, 1 - OPACITY_LIMIT).logit().numpy()
-    log_scales = gaussians.scales.detach().cpu().clamp_min(1e-9).log().numpy()
+    log_scales = gaussians.scales.detach().cpu().clamp(*SCALES).log().numpy()
     quats = gaussians.quats.detach().cpu().numpy()
     normals = np.zeros(len(means))
     columns = {name: means[:, i] for i, name in enumerate("xyz")}
@@ -139,55 +145,67 @@ def _parse_header(path: Path, head: bytes) -> tuple[int, np.dtype, int]:
     lines = [line.split() for line in head[:end].decode("ascii", "replace").splitlines()[1:]]
     lines = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
     if not lines or lines[0] != ["format", "binary_little_endian", "1.0"]:
-        found = " ".join(lines[0]) if lines else "nothing"
+        found = " ".join(lines[0])[:100] if lines else "nothing"
         raise ValueError(f"{path}: wanted format binary_little_endian 1.0, found {found}")
-    elements = [line for line in lines if line[0] == "element"]
-    if len(elements) != 1 or elements[0][1] != "vertex" or not elements[0][2].isdecimal():
-        found = ", ".join(line[1] for line in elements if len(line) > 1)
-        raise ValueError(
-            f"{path}: wanted one element 'vertex' with one row a Gaussian, found: {found}; "
-            "compressed PLYs and meshes are not read"
-        )
+    count = _count(path, [line for line in lines if line[0] == "element"])
     layout = []
     for line in lines:
         if line[0] == "property":
             if len(line) != 3 or line[1] not in TYPES:
-                raise ValueError(f"{path}: cannot read the property '{' '.join(line)}'")
+                raise ValueError(f"{path}: cannot read the property '{' '.join(line)[:100]}'")
             layout.append((line[2], TYPES[line[1]]))
     names = [name for name, _ in layout]
-    missing = [name for name in NEEDED if name not in names]
+    num_rest = sum(name.startswith("f_rest_") for name in names)
+    if num_rest not in (0, 9, 24, 45):
+        raise ValueError(f"{path}: {num_rest} columns f_rest_*; wanted 0, 9, 24 or 45")
+    wanted = [*NEEDED, *(f"f_rest_{i}" for i in range(num_rest))]
+    missing = [name for name in wanted if name not in names]
     if missing or len(set(names)) != len(names):
         raise ValueError(f"{path} holds no Gaussians: missing or doubled columns {missing}")
-    return int(elements[0][2]), np.dtype(layout), end + 10 + newline
+    return count, np.dtype(layout), end + 10 + newline
+
+
+def _count(path: Path, elements: list[list[str]]) -> int:
+    """Number of Gaussians, by the lines of the header that say what the file consists of."""
+    if len(elements) == 1 and elements[0][1:2] == ["vertex"] and len(elements[0]) == 3:
+        digits = elements[0][2]
+        if digits.isdecimal() and len(digits) < 19:
+            return int(digits)
+    found = ", ".join(" ".join(line[1:])[:100] for line in elements[:10])
+    raise ValueError(
+        f"{path}: wanted one element 'vertex' with one row a Gaussian, found: {found}; "
+        "compressed PLYs and meshes are not read"
+    )
 
 
 def _gaussians(path: Path, rows: np.ndarray) -> Gaussians:
-    """The rows as Gaussians, without those that are not finite."""
-
-    def stack(names: list[str]) -> Float[Tensor, "gaussian column"]:
-        if not names:
-            return torch.zeros(len(rows), 0)
-        table = np.stack([rows[name].astype(np.float32) for name in names], axis=1)
-        return torch.from_numpy(table)
-
-    num_rest = sum((name.startswith("f_rest_") for name in rows.dtype.names or ()), 0)
-    if num_rest not in (0, 9, 24, 45):
-        raise ValueError(f"{path}: {num_rest} columns f_rest_*; wanted 0, 9, 24 or 45")
-    rest = stack([f"f_rest_{i}" for i in range(num_rest)])
-    table = torch.cat([stack(NEEDED), rest], dim=1)
-    finite = table.isfinite().all(dim=1)
-    if not finite.all():
-        count = int((~finite).sum())
-        warnings.warn(f"{path}: dropped {count} Gaussians that are not finite", stacklevel=3)
-    table = table[finite]
-    count = table.shape[0]
+    """The rows as Gaussians, without those that cannot be drawn."""
+    names = rows.dtype.names or ()
+    num_rest = sum(name.startswith("f_rest_") for name in names)
+    columns = [*NEEDED, *(f"f_rest_{i}" for i in range(num_rest))]
+    with np.errstate(over="ignore"):  # of double columns; those rows are dropped
+        values = np.stack([rows[name].astype(np.float32) for name in columns], axis=1)
+    table = torch.from_numpy(values)
+    table[:, 6] = table[:, 6].clamp(-LOGIT_LIMIT, LOGIT_LIMIT)
+    table[:, 7:10] = table[:, 7:10].clamp_min(math.log(SCALES[0]))
+    drawable = table.isfinite().all(dim=1) & (table[:, :3].abs() <= MAX_LENGTH).all(dim=1)
+    # Longest entry first: squares of small ones vanish, and those of large ones overflow.
+    longest = table[:, 10:14].abs().amax(dim=1)
+    drawable &= longest > 0
+    if not drawable.all():
+        count = int((~drawable).sum())
+        warnings.warn(
+            f"{path}: dropped {count} Gaussians that cannot be drawn: with numbers that are not "
+            "finite, or a quaternion of length 0",
+            stacklevel=3,
+        )
+    table, longest = table[drawable], longest[drawable]
+    count = len(table)
     rest = table[:, 14:].reshape(count, 3, num_rest // 3).mT
-    quats = torch.nn.functional.normalize(table[:, 10:14], dim=1)
-    quats[(quats == 0).all(dim=1)] = torch.tensor([1.0, 0.0, 0.0, 0.0])
     return Gaussians(
         means=table[:, :3].contiguous(),
-        quats=quats,
-        scales=table[:, 7:10].clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp(),
+        quats=torch.nn.functional.normalize(table[:, 10:14] / longest[:, None], dim=1),
+        scales=table[:, 7:10].exp().clamp(*SCALES),
         opacities=table[:, 6].sigmoid(),
         sh=torch.cat([table[:, None, 3:6], rest], dim=1).contiguous(),
         anchor_index=torch.zeros(count, dtype=torch.long),
