@@ -27,7 +27,8 @@ UNREADABLE = (
 def naming_damage(what: object, remedy: str) -> Iterator[None]:
     """Whatever a decoder raises in the block becomes a ValueError that names the file.
 
-    Errors of the system, such as a missing permission, stay what they are.
+    Errors of the system, such as a missing permission, and those that name the file already stay
+    what they are.
 
     Args:
         what: The file, and the place in it.
@@ -39,6 +40,8 @@ def naming_damage(what: object, remedy: str) -> Iterator[None]:
         # The system's EINVAL comes from places in the file that cannot be.
         if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise
+        if isinstance(error, ValueError) and str(error).startswith(str(what)):
+            raise
         raise ValueError(f"{what} is damaged ({reason_of(error)}); {remedy}") from error
 
 
@@ -47,6 +50,8 @@ def reason_of(error: BaseException) -> str:
     words = " ".join(str(error).split())
     if isinstance(error, KeyError):
         words = f"it lacks {words}"
+    elif isinstance(error, TypeError | AttributeError):
+        words = f"a value in it is of another kind than wanted: {words}"
     return words[:300] or type(error).__name__
 
 
@@ -80,17 +85,28 @@ def parse_json(data: bytes | str, what: object, remedy: str) -> Any:
         ValueError: It is damaged, or holds what JSON cannot.
     """
     with naming_damage(what, remedy):
-        text = data if isinstance(data, str) else data.decode("utf-8-sig")
+        content = data if isinstance(data, str) else data.decode("utf-8-sig")
         value = json.loads(
-            text,
+            content,
             parse_int=_integer,
             parse_float=_finite,
             parse_constant=_finite,
             object_pairs_hook=_without_doubled_keys,
         )
-        if "\\ud" in text.lower():  # half a character, which can be neither printed nor a name
+        if "\\ud" in content.lower():  # half a character, which can be neither printed nor a name
             json.dumps(value, ensure_ascii=False).encode()
         return value
+
+
+def text(value: Any) -> str:
+    """A value of JSON that is text.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"{reprlib.repr(value)} is no text")
+    return value
 
 
 def whole_number(value: Any, least: int = 0, most: int = 2**63 - 1) -> int:

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
+from safetensors.torch import load_file, save_file
 
 import instok3d
+from instok3d.files import sha256_of
 from instok3d.scene import files
 from instok3d.scene.previews import save_with_previews
 from instok3d.scene.scene import Scene
@@ -215,12 +217,17 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     r"objects\.json is damaged": lambda f: (f / "objects.json").write_text("[{"),
     r"objects\.json is damaged.*UTF|codec": lambda f: (f / "objects.json").write_bytes(b"\xff\xfe"),
     r"scene\.json: .*1 to 2, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
-    r"'units' in its JSON": damage_json("scene.json", lambda v: v.pop("units")),
+    r"scene\.json is damaged .it lacks 'units'": damage_json(
+        "scene.json", lambda v: v.pop("units")
+    ),
     r"'miles' is none of": damage_json("scene.json", lambda v: v.update(units="miles")),
     r"bad picture size": damage_json("scene.json", lambda v: v.update(height=10**9)),
     r"wanted a list of 1 to": damage_json("cameras.json", lambda v: v.clear()),
-    r"000\.png: size": damage_json("scene.json", lambda v: v.update(width=31)),
-    r"not a table of numbers": damage_json("cameras.json", lambda v: v[0].update(intrinsics=[[1]])),
+    r"view 0 .* size is not that of scene": damage_json("scene.json", lambda v: v.update(width=31)),
+    r"000\.png: size": lambda f: Image.new("RGB", (31, 24)).save(f / "inputs/000.png"),
+    r"intrinsics that are not 3 x 3 numbers": damage_json(
+        "cameras.json", lambda v: v[0].update(intrinsics=[[1]])
+    ),
     r"not 4 x 4": damage_json(
         "cameras.json", lambda v: [c.update(cam_from_world=[[1.0]]) for c in v]
     ),
@@ -228,9 +235,78 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     r"not distinct": damage_json("objects.json", lambda v: v[0].update(id=3)),
     r"wanted 3 finite": damage_json("objects.json", lambda v: v[0].update(centroid=[1, 2])),
     r"names a view": damage_json("objects.json", lambda v: v[0].update(visible_in=[7])),
-    r"is damaged: .* in its JSON": damage_json("objects.json", lambda v: v.append(3)),
+    r"is damaged .a value in it is of another kind": damage_json(
+        "objects.json", lambda v: v.append(3)
+    ),
     r"001\.png is damaged": lambda f: (f / "inputs/001.png").write_bytes(b"\x89PNG"),
 }
+
+
+def put_row(name: str, row: int, value: object) -> Callable[[Path], None]:
+    """A row of a tensor changed, with its file's hash in scene.json."""
+    part = "tokens" if name == "assignment" else "gaussians"
+
+    def apply(folder: Path) -> None:
+        file = folder / f"{part}.safetensors"
+        tensors = load_file(file)
+        tensors[name][row] = torch.as_tensor(value)
+        save_file(tensors, file)
+        damage_json("scene.json", lambda v: v["sha256"].update({file.name: sha256_of(file)}))(
+            folder
+        )
+
+    return apply
+
+
+def change_camera(key: str, row: int, column: int, number: float) -> Callable[[Path], None]:
+    return damage_json("cameras.json", lambda v: v[1][key][row].__setitem__(column, number))
+
+
+DAMAGE |= {
+    "has 1 values in scales that are no lengths above 0": put_row("scales", 3, [1.0, 0.0, 1.0]),
+    "values in scales": put_row("scales", 3, [1.0, -1.0, 1.0]),
+    r"values in opacities that are no numbers in \[0, 1\]": put_row("opacities", 3, 1.5),
+    "values in opacities": put_row("opacities", 3, torch.nan),
+    "values in quats that are no quaternions of unit": put_row("quats", 3, [0.0] * 4),
+    "values in means that are no finite numbers": put_row("means", 3, torch.nan),
+    "values in means": put_row("means", 3, 1e30),
+    "values in sh that are no finite": put_row("sh", 3, torch.inf),
+    "values in anchor_index that are no row": put_row("anchor_index", 3, -1),
+    "anchor_index beyond 10": put_row("anchor_index", 3, 10),
+    "assignment holds rows that are no probabilities": put_row("assignment", 3, 0.1),
+    "assignment holds numbers that are not finite": put_row("assignment", 3, torch.nan),
+    r"view 1 has a pose whose rotation is not orthonormal": change_camera(
+        "cam_from_world", 0, 0, 2.0
+    ),
+    "view 1 has a pose whose last row is": change_camera("cam_from_world", 3, 0, 0.1),
+    "view 1 stands 1e.30 units from the origin": change_camera("cam_from_world", 0, 3, 1e30),
+    "view 1 has the focal lengths -2": change_camera("intrinsics", 0, 0, -2.0),
+    "view 1 has intrinsics with 3 below the diagonal": change_camera("intrinsics", 1, 0, 3.0),
+    "the number NaN is not finite": change_camera("intrinsics", 0, 2, torch.nan),
+    "num_gaussians of 'object#1' is not that": damage_json(
+        "objects.json", lambda v: v[0].update(num_gaussians=3)
+    ),
+    r"'red' is no colour": damage_json("objects.json", lambda v: v[0].update(color="red")),
+    r"7 is no number in \[0, 1\]": damage_json("objects.json", lambda v: v[0].update(confidence=7)),
+    "is inside out": damage_json("objects.json", lambda v: v[0]["aabb"]["min"].__setitem__(0, 9)),
+    r"the box has the size \(-1": damage_json(
+        "objects.json", lambda v: v[0]["obb"]["size"].__setitem__(0, -1)
+    ),
+    "the quaternion .* is not of unit": damage_json(
+        "objects.json", lambda v: v[0]["obb"].update(quat_wxyz=[0, 0, 0, 0])
+    ),
+    "the bbox of 'object#1' is not within": damage_json(
+        "objects.json", lambda v: v[0]["best_view"].update(bbox=[0, 0, 33, 2])
+    ),
+    "two objects have one key": damage_json("objects.json", lambda v: v[0].update(key="object#3")),
+    "True is no whole number": damage_json("objects.json", lambda v: v[0].update(num_anchors=True)),
+    "its pixel_map is not to pictures": damage_json(
+        "cameras.json", lambda v: v[0]["pixel_map"].update(width=31)
+    ),
+    "wanted 0 < near < far": damage_json(
+        "scene.json", lambda v: v.update(near_far=[1, 1])
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("message", DAMAGE)
@@ -239,6 +315,13 @@ def test_a_damaged_scene_is_refused_with_the_reason(tmp_path: Path, scene: Scene
     DAMAGE[message](tmp_path / "room.itk")
     with pytest.raises(ValueError, match=message):
         instok3d.load(tmp_path / "room.itk")
+
+
+def test_a_scene_that_could_not_be_read_again_is_not_written(tmp_path: Path, scene: Scene):
+    flat = replace(scene.gaussians, scales=torch.zeros_like(scene.gaussians.scales))
+    with pytest.raises(ValueError, match="the scene has 120 values in scales"):
+        replace(scene, gaussians=flat).save(tmp_path / "room.itk")
+    assert not list(tmp_path.iterdir())
 
 
 def test_missing_files_are_named(tmp_path: Path, scene: Scene):

@@ -9,8 +9,8 @@ in the folder, such as previews/, is not read.
 
 import dataclasses
 import json
-import math
 import os
+import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,22 +19,26 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 from PIL import Image
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
 from instok3d.files import json_text, replacing_folder, sha256_of, write_safetensors
+from instok3d.geometry.camera_json import read_intrinsics, read_pose
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
+from instok3d.reading import naming_damage, number, read_json, text, whole_number
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
-from instok3d.types import Cameras, Gaussians
+from instok3d.types import Cameras, Gaussians, check_gaussians
 
 AXES = "OpenCV: x right, y down, z forward; quaternions wxyz; pixel centres at +0.5"
 TENSOR_FILES = {"gaussians.safetensors": Gaussians, "tokens.safetensors": SceneTokens}
+FORMAT = "instok3d scene"
+REMEDY = "reconstruct the scene again"
 MAX_VIEWS = 10_000
+MAX_FAR = 1e12
 MAX_PIXELS = 2**26
 """Sizes beyond these are taken for damage before anything is allocated."""
 
@@ -58,8 +62,10 @@ def save_record(
         FileExistsError: Something is at `path`, and `overwrite` is off or it is no scene.
         FileNotFoundError: The folder that `path` is to stand in is not there.
         PermissionError: That folder may not be written to.
+        ValueError: The scene has Gaussians that cannot be drawn.
     """
     check_target(path, overwrite=overwrite)
+    check_gaussians(scene.gaussians, "the scene")
     with replacing_folder(path, overwrite=overwrite) as part:
         if more is not None:
             more(part)
@@ -111,58 +117,58 @@ def load_record(path: Path) -> SceneRecord:
         raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
     if not (path / "scene.json").is_file():
         raise FileNotFoundError(f"{path} is not a scene folder: it has no scene.json")
-    header = upgraded(_read_json(path / "scene.json"), path / "scene.json")
-    try:
-        return _assemble(path, header)
-    except (KeyError, TypeError, IndexError, OverflowError) as error:
-        raise ValueError(
-            f"{path} is damaged: {type(error).__name__} {error} in its JSON"
-        ) from error
-
-
-def _assemble(path: Path, header: dict[str, Any]) -> SceneRecord:
-    height, width = int(header["height"]), int(header["width"])
-    if min(height, width) < 1 or height * width > MAX_PIXELS:
-        raise ValueError(f"{path / 'scene.json'}: bad picture size {height} x {width}")
-    gaussians = _read_gaussians(path, header["sha256"])
-    tokens = _read_tokens(path, header["sha256"])
-    cameras, views = _read_cameras(path / "cameras.json")
-    objects = _read_objects(path / "objects.json", len(views), gaussians, tokens)
-    num_anchors = tokens.assignment.shape[0]
-    index = gaussians.anchor_index
-    if len(index) and (int(index.min()) < 0 or int(index.max()) >= num_anchors):
+    file = path / "scene.json"
+    header = upgraded(read_json(file, REMEDY), file)
+    with naming_damage(file, REMEDY):
+        about = _about(header)
+        digests = {name: text(header["sha256"][name]) for name in TENSOR_FILES}
+    height, width = about["height"], about["width"]
+    gaussians = _read_gaussians(path, digests)
+    tokens = _read_tokens(path, digests)
+    cameras, views = _read_cameras(path / "cameras.json", height, width)
+    objects = _read_objects(path / "objects.json", len(views), height, width, gaussians, tokens)
+    num_anchors = len(tokens.assignment)
+    if len(gaussians.anchor_index) and int(gaussians.anchor_index.max()) >= num_anchors:
         raise ValueError(f"{path / 'gaussians.safetensors'}: anchor_index beyond {num_anchors}")
-    made = header["provenance"]
-    near_far = header["near_far"]
+    if about["near_far"] == FROM_GAUSSIANS:
+        about["near_far"] = near_and_far(gaussians, cameras)
     return SceneRecord(
+        **about,
         gaussians=gaussians,
         tokens=tokens,
         cameras=cameras,
-        height=height,
-        width=width,
-        objects=objects,
         views=views,
+        objects=objects,
         photos=_read_photos(path / header["inputs_folder"], len(views), height, width),
-        units=_one_of(path, header["units"], ("metres", "arbitrary")),
-        frame=_one_of(path, header["frame"], ("first camera", "given cameras")),
-        near_far=(
-            near_and_far(gaussians, cameras)
-            if near_far == FROM_GAUSSIANS
-            else _near_far(path / "scene.json", near_far)
-        ),
-        warnings=tuple(str(line) for line in header["warnings"]),
-        provenance=Provenance(
-            generator=str(made["generator"]),
-            model=str(made["model"]),
-            model_sha256=str(made["model_sha256"]),
-            seed=int(made["seed"]),
-        ),
     )
+
+
+def _about(header: dict[str, Any]) -> dict[str, Any]:
+    """The fields of the scene that scene.json says itself."""
+    height, width = whole_number(header["height"], 1), whole_number(header["width"], 1)
+    if height * width > MAX_PIXELS:
+        raise ValueError(f"bad picture size {height} x {width}")
+    _one_of(header["format"], (FORMAT,))
+    near_far, made = header["near_far"], header["provenance"]
+    return {
+        "height": height,
+        "width": width,
+        "units": _one_of(header["units"], ("metres", "arbitrary")),
+        "frame": _one_of(header["frame"], ("first camera", "given cameras")),
+        "near_far": near_far if near_far == FROM_GAUSSIANS else _near_far(near_far),
+        "warnings": tuple(text(line) for line in header["warnings"]),
+        "provenance": Provenance(
+            generator=text(made["generator"]),
+            model=text(made["model"]),
+            model_sha256=text(made["model_sha256"]),
+            seed=whole_number(made["seed"]),
+        ),
+    }
 
 
 def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
     return {
-        "format": "instok3d scene",
+        "format": FORMAT,
         "version": VERSION,
         "units": scene.units,
         "frame": scene.frame,
@@ -206,44 +212,47 @@ def _cameras_json(scene: SceneRecord) -> list[dict[str, Any]]:
 def _read_gaussians(path: Path, digests: dict[str, str]) -> Gaussians:
     file = path / "gaussians.safetensors"
     tensors = _read_tensors(file, digests, Gaussians)
-    count = tensors["means"].shape[0]
+    count = len(tensors["means"])
     coefficients = tensors["sh"].shape[1] if tensors["sh"].ndim == 3 else 0
     shapes = {
         "means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,),
         "sh": (count, coefficients, 3), "anchor_index": (count,),
     }  # fmt: skip
     _check_shapes(file, tensors, shapes)
-    if coefficients not in (1, 4, 9, 16):
-        raise ValueError(f"{file}: sh has {coefficients} coefficients, not 1, 4, 9 or 16")
-    return Gaussians(**tensors)
+    gaussians = Gaussians(**tensors)
+    check_gaussians(gaussians, file)
+    return gaussians
 
 
 def _read_tokens(path: Path, digests: dict[str, str]) -> SceneTokens:
     file = path / "tokens.safetensors"
     tensors = _read_tensors(file, digests, SceneTokens)
-    num_anchors, num_groups = tensors["positions"].shape[0], tensors["groups"].shape[0]
+    num_anchors, num_groups = len(tensors["positions"]), len(tensors["groups"])
+    channels = tensors["anchors"].shape[-1]
     shapes = {
         "positions": (num_anchors, 3),
-        "anchors": (num_anchors, *tensors["anchors"].shape[1:2]),
-        "groups": (num_groups, *tensors["groups"].shape[1:2]),
+        "anchors": (num_anchors, channels),
+        "groups": (num_groups, channels),
         "assignment": (num_anchors, num_groups + 1),
     }
-    if tensors["anchors"].ndim == 2 and tensors["groups"].ndim == 2:
-        shapes["groups"] = (num_groups, tensors["anchors"].shape[1])
     _check_shapes(file, tensors, shapes)
+    for name, value in tensors.items():
+        if not value.isfinite().all():
+            raise ValueError(f"{file}: {name} holds numbers that are not finite")
+    assignment = tensors["assignment"]
+    if (assignment < 0).any() or ((assignment.sum(dim=1) - 1).abs() > 1e-2).any():
+        raise ValueError(f"{file}: assignment holds rows that are no probabilities")
     return SceneTokens(**tensors)
 
 
 def _read_tensors(file: Path, digests: dict[str, str], kind: type) -> dict[str, Tensor]:
-    """The tensors of one file: all that `kind` has, finite, of the right type, whole."""
+    """The tensors of one file: all that `kind` has, of the right type, whole."""
     if not file.is_file():
         raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
     if sha256_of(file) != digests[file.name]:
         raise ValueError(f"{file} is damaged: it is not the file that scene.json was written for")
-    try:
+    with naming_damage(file, REMEDY):
         tensors = load_file(file)
-    except (SafetensorError, ValueError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
     names = {field.name for field in dataclasses.fields(kind)}
     if tensors.keys() != names:
         raise ValueError(f"{file}: wanted the tensors {sorted(names)}, found {sorted(tensors)}")
@@ -251,8 +260,6 @@ def _read_tensors(file: Path, digests: dict[str, str], kind: type) -> dict[str, 
         wanted = torch.int64 if name == "anchor_index" else torch.float32
         if value.dtype != wanted or value.ndim == 0:
             raise ValueError(f"{file}: {name} is {value.dtype} {tuple(value.shape)}, not {wanted}")
-        if not value.isfinite().all():
-            raise ValueError(f"{file}: {name} holds numbers that are not finite")
     return tensors
 
 
@@ -262,83 +269,107 @@ def _check_shapes(file: Path, tensors: dict[str, Tensor], shapes: dict[str, tupl
             raise ValueError(f"{file}: {name} is {tuple(tensors[name].shape)}, wanted {shape}")
 
 
-def _read_cameras(file: Path) -> tuple[Cameras, tuple[SceneView, ...]]:
-    entries = _read_json(file)
-    if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_VIEWS:
+def _read_cameras(file: Path, height: int, width: int) -> tuple[Cameras, tuple[SceneView, ...]]:
+    entries = _read_entries(file)
+    if not 1 <= len(entries) <= MAX_VIEWS:
         raise ValueError(f"{file}: wanted a list of 1 to {MAX_VIEWS} views")
-    views = tuple(
-        SceneView(str(entry["file"]), str(entry["sha256"]), _pixel_map(file, entry["pixel_map"]))
-        for entry in entries
+    poses, intrinsics, views = [], [], []
+    for index, entry in enumerate(entries):
+        where = f"{file}: view {index}"
+        with naming_damage(where, REMEDY):
+            if (entry["height"], entry["width"]) != (height, width):
+                raise ValueError(f"its size is not that of scene.json, {height} x {width}")
+            pixel_map = _pixel_map(entry["pixel_map"], height, width)
+            views.append(SceneView(text(entry["file"]), text(entry["sha256"]), pixel_map))
+            poses.append(read_pose(entry["cam_from_world"], where=where))
+            intrinsics.append(
+                read_intrinsics(entry["intrinsics"], where=where, height=height, width=width)
+            )
+    return Cameras(torch.stack(poses).float(), torch.stack(intrinsics).float()), tuple(views)
+
+
+def _pixel_map(value: dict[str, Any], height: int, width: int) -> PixelMap:
+    pixel_map = PixelMap(
+        original_height=whole_number(value["original_height"], 1),
+        original_width=whole_number(value["original_width"], 1),
+        exif_orientation=whole_number(value["exif_orientation"], 1, 8),
+        height=whole_number(value["height"], 1),
+        width=whole_number(value["width"], 1),
+        scale_x=number(value["scale_x"]),
+        scale_y=number(value["scale_y"]),
+        offset_x=number(value["offset_x"]),
+        offset_y=number(value["offset_y"]),
     )
-    cam_from_world = _matrices(file, [entry["cam_from_world"] for entry in entries], 4)
-    intrinsics = _matrices(file, [entry["intrinsics"] for entry in entries], 3)
-    return Cameras(cam_from_world, intrinsics), views
-
-
-def _pixel_map(file: Path, value: dict[str, Any]) -> PixelMap:
-    numbers = {name: float(value[name]) for name in ("scale_x", "scale_y", "offset_x", "offset_y")}
-    if not all(math.isfinite(number) for number in numbers.values()):
-        raise ValueError(f"{file}: a pixel_map holds a number that is not finite")
-    return PixelMap(
-        original_height=int(value["original_height"]),
-        original_width=int(value["original_width"]),
-        exif_orientation=int(value["exif_orientation"]),
-        height=int(value["height"]),
-        width=int(value["width"]),
-        **numbers,
-    )
-
-
-def _matrices(file: Path, rows: list[Any], size: int) -> Tensor:
-    try:
-        matrices = torch.tensor(rows, dtype=torch.float32)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{file}: a matrix of a camera is not a table of numbers") from error
-    if matrices.shape[1:] != (size, size) or not matrices.isfinite().all():
-        raise ValueError(f"{file}: a matrix of a camera is not {size} x {size} finite numbers")
-    return matrices
+    if (pixel_map.height, pixel_map.width) != (height, width):
+        raise ValueError(f"its pixel_map is not to pictures of {height} x {width}")
+    if min(pixel_map.scale_x, pixel_map.scale_y) <= 0:
+        raise ValueError("its pixel_map has a scale that is not above 0")
+    return pixel_map
 
 
 def _read_objects(
-    file: Path, num_views: int, gaussians: Gaussians, tokens: SceneTokens
+    file: Path,
+    num_views: int,
+    height: int,
+    width: int,
+    gaussians: Gaussians,
+    tokens: SceneTokens,
 ) -> tuple[SceneObject, ...]:
-    objects = tuple(SceneObject.from_json(entry) for entry in _read_json(file))
-    ids = [item.id for item in objects]
-    if len(set(ids)) != len(ids) or any(not 1 <= i <= len(tokens.groups) for i in ids):
-        raise ValueError(f"{file}: the ids {ids} are not distinct or not those of groups")
-    end = 0
-    for item in objects:
-        start, count = item.gaussian_range
-        if start != end or count < 1 or start + count > len(gaussians.means):
-            raise ValueError(f"{file}: gaussian_range {start}, {count} of {item.key} cannot be")
-        if not all(0 <= view < num_views for view in (*item.visible_in, item.best_view.view)):
-            raise ValueError(f"{file}: {item.key} names a view that is not there")
-        end = start + count
+    entries = _read_entries(file)
+    with naming_damage(file, REMEDY):
+        objects = tuple(SceneObject.from_json(entry) for entry in entries)
+        ids = [item.id for item in objects]
+        if len({item.key for item in objects}) != len(ids):
+            raise ValueError("two objects have one key")
+        if len(set(ids)) != len(ids) or any(not 1 <= i <= len(tokens.groups) for i in ids):
+            raise ValueError("its ids are not distinct or not those of groups")
+        end = 0
+        for item in objects:
+            start, count = item.gaussian_range
+            if start != end or count < 1 or start + count > len(gaussians.means):
+                raise ValueError(f"gaussian_range {start}, {count} of {item.key!r} cannot be")
+            if count != item.num_gaussians:
+                raise ValueError(f"num_gaussians of {item.key!r} is not that of its range, {count}")
+            if not all(0 <= view < num_views for view in (*item.visible_in, item.best_view.view)):
+                raise ValueError(f"{item.key!r} names a view that is not there")
+            x0, y0, x1, y1 = item.best_view.bbox
+            if not (x0 < x1 <= width and y0 < y1 <= height):
+                raise ValueError(f"the bbox of {item.key!r} is not within {height} x {width}")
+            end = start + count
     return objects
 
 
-def _near_far(file: Path, value: Any) -> tuple[float, float]:
-    numbers = isinstance(value, list) and all(type(number) in (int, float) for number in value)
-    if not numbers or len(value) != 2 or not 0 < value[0] < value[1] < math.inf:
-        raise ValueError(f"{file}: near_far is {value}; wanted two numbers, 0 < near < far")
-    return float(value[0]), float(value[1])
+def _read_entries(file: Path) -> list[Any]:
+    if not file.is_file():
+        raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
+    entries = read_json(file, REMEDY)
+    if not isinstance(entries, list):
+        raise ValueError(f"{file} is damaged (it holds no list); {REMEDY}")
+    return entries
+
+
+def _near_far(value: Any) -> tuple[float, float]:
+    near, far = map(number, value)
+    if not 0 < near < far <= MAX_FAR:
+        raise ValueError(f"near_far is {near:g}, {far:g}; wanted 0 < near < far <= {MAX_FAR:g}")
+    return near, far
 
 
 def _read_photos(
     folder: Path, count: int, height: int, width: int
 ) -> UInt8[Tensor, "view {height} {width} 3"]:
-    photos = torch.empty(count, height, width, 3, dtype=torch.uint8)
-    for index in range(count):
-        file = _photo_path(folder, index)
+    """The photos; memory for all of them is taken when all are known to be of that size."""
+    files = [_photo_path(folder, index) for index in range(count)]
+    for file in files:
         if not file.is_file():
             raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
-        try:
-            with Image.open(file, formats=["PNG"]) as picture:
-                if picture.size != (width, height):
-                    raise ValueError(f"{file}: size {picture.size}, wanted {(width, height)}")
-                photos[index] = torch.from_numpy(np.array(picture.convert("RGB")))
-        except OSError as error:
-            raise ValueError(f"{file} is damaged: {error}") from error
+        with naming_damage(file, REMEDY), Image.open(file, formats=["PNG"]) as picture:
+            if picture.size != (width, height):
+                raise ValueError(f"{file}: size {picture.size}, wanted {(width, height)}")
+    photos = torch.empty(count, height, width, 3, dtype=torch.uint8)
+    for index, file in enumerate(files):
+        with naming_damage(file, REMEDY), Image.open(file, formats=["PNG"]) as picture:
+            photos[index] = torch.from_numpy(np.array(picture.convert("RGB")))
     return photos
 
 
@@ -346,19 +377,10 @@ def _photo_path(folder: Path, index: int) -> Path:
     return folder / f"{index:03d}.png"
 
 
-def _one_of(path: Path, value: Any, choices: tuple[str, ...]) -> Any:
+def _one_of(value: Any, choices: tuple[str, ...]) -> Any:
     if value not in choices:
-        raise ValueError(f"{path / 'scene.json'}: {value!r} is none of {choices}")
+        raise ValueError(f"{reprlib.repr(value)} is none of {choices}")
     return value
-
-
-def _read_json(file: Path) -> Any:
-    if not file.is_file():
-        raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
 
 
 def _write_json(file: Path, value: Any) -> None:

@@ -1,6 +1,8 @@
 """What a scene says of each of its objects: where it is, how large, where it is seen best."""
 
 import math
+import re
+import reprlib
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,9 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.rotations import matrix_to_quat, quat_to_matrix
-from instok3d.types import Gaussians
+from instok3d.reading import number, text, whole_number
+from instok3d.types import MAX_LENGTH, Gaussians
 
 Point = tuple[float, float, float]
+LARGEST = 100 * MAX_LENGTH
+"""What a coordinate or a length can be: of boxes about the largest Gaussians."""
 TAIL = 0.02
 """Share of an object's opacity that a box leaves out on each side of each axis: haze and strays."""
 
@@ -23,6 +28,14 @@ class AlignedBox:
     min: Point
     max: Point
 
+    @staticmethod
+    def from_json(value: Any) -> "AlignedBox":
+        """See `SceneObject.from_json`."""
+        box = AlignedBox(_floats(value["min"], 3), _floats(value["max"], 3))
+        if any(low > high for low, high in zip(box.min, box.max, strict=True)):
+            raise ValueError(f"the box from {box.min} to {box.max} is inside out")
+        return box
+
 
 @dataclass(frozen=True)
 class OrientedBox:
@@ -33,6 +46,17 @@ class OrientedBox:
     """Full lengths along the box's axes, longest spread first."""
     quat_wxyz: tuple[float, float, float, float]
     """Rotation world_from_box."""
+
+    @staticmethod
+    def from_json(value: Any) -> "OrientedBox":
+        """See `SceneObject.from_json`."""
+        center, size = _floats(value["center"], 3), _floats(value["size"], 3)
+        quat = _floats(value["quat_wxyz"], 4)
+        if min(size) < 0:
+            raise ValueError(f"the box has the size {size}")
+        if abs(math.hypot(*quat) - 1) > 1e-3:
+            raise ValueError(f"the quaternion {quat} is not of unit length")
+        return OrientedBox(center, size, quat)
 
 
 @dataclass(frozen=True)
@@ -82,28 +106,28 @@ class SceneObject:
         Raises:
             KeyError, TypeError, ValueError: An entry is missing or of the wrong kind.
         """
+        color, label = text(value["color"]), value.get("label")
+        if not re.fullmatch("#[0-9a-f]{6}", color):
+            raise ValueError(f"{reprlib.repr(color)} is no colour such as #40bf9f")
+        view = value["best_view"]
         return SceneObject(
-            id=int(value["id"]),
-            key=str(value["key"]),
-            color=str(value["color"]),
-            aabb=AlignedBox(_floats(value["aabb"]["min"], 3), _floats(value["aabb"]["max"], 3)),
-            obb=OrientedBox(
-                center=_floats(value["obb"]["center"], 3),
-                size=_floats(value["obb"]["size"], 3),
-                quat_wxyz=_floats(value["obb"]["quat_wxyz"], 4),
-            ),
+            id=whole_number(value["id"], 1),
+            key=text(value["key"]),
+            color=color,
+            aabb=AlignedBox.from_json(value["aabb"]),
+            obb=OrientedBox.from_json(value["obb"]),
             centroid=_floats(value["centroid"], 3),
-            num_anchors=int(value["num_anchors"]),
-            num_gaussians=int(value["num_gaussians"]),
-            gaussian_range=_ints(value["gaussian_range"], 2),
-            confidence=_floats([value["confidence"]], 1)[0],
-            visible_in=tuple(int(view) for view in value["visible_in"]),
+            num_anchors=whole_number(value["num_anchors"]),
+            num_gaussians=whole_number(value["num_gaussians"]),
+            gaussian_range=_whole_numbers(value["gaussian_range"], 2),
+            confidence=_share(value["confidence"]),
+            visible_in=_whole_numbers(value["visible_in"], len(value["visible_in"])),
             best_view=BestView(
-                view=int(value["best_view"]["view"]),
-                bbox=_ints(value["best_view"]["bbox"], 4),
-                pixels=int(value["best_view"]["pixels"]),
+                view=whole_number(view["view"]),
+                bbox=_whole_numbers(view["bbox"], 4),
+                pixels=whole_number(view["pixels"]),
             ),
-            label=None if value.get("label") is None else str(value["label"]),
+            label=None if label is None else text(label),
         )
 
 
@@ -168,16 +192,21 @@ def _principal_axes(
 
 
 def _floats(values: Any, count: int) -> Any:
-    """Exactly `count` finite floats as a tuple."""
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise ValueError(f"wanted {count} finite numbers, got {values}")
+    """Exactly `count` finite numbers as a tuple of floats."""
+    numbers = tuple(number(value) for value in values)
+    if len(numbers) != count or not all(abs(each) <= LARGEST for each in numbers):
+        raise ValueError(f"wanted {count} finite numbers, got {reprlib.repr(values)}")
     return numbers
 
 
-def _ints(values: Any, count: int) -> Any:
-    """Exactly `count` integers as a tuple."""
-    numbers = tuple(int(value) for value in values)
-    if len(numbers) != count:
-        raise ValueError(f"wanted {count} whole numbers, got {values}")
-    return numbers
+def _whole_numbers(values: Any, count: int) -> Any:
+    """Exactly `count` whole numbers as a tuple."""
+    if len(values) != count:
+        raise ValueError(f"wanted {count} whole numbers, got {reprlib.repr(values)}")
+    return tuple(whole_number(value) for value in values)
+
+
+def _share(value: Any) -> float:
+    if not 0 <= number(value) <= 1:
+        raise ValueError(f"{reprlib.repr(value)} is no number in [0, 1]")
+    return number(value)

@@ -1,6 +1,5 @@
 """Cameras to look at a scene from: its inputs, a sway around them, or those of a file."""
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +8,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.geometry.camera_json import read_intrinsics, read_pose
 from instok3d.geometry.cameras import invert_rigid, resize_intrinsics, rigid
+from instok3d.reading import naming_damage, read_json, whole_number
+from instok3d.scene.files import MAX_PIXELS
 from instok3d.scene.scene import Scene
 from instok3d.types import Cameras
 
+REMEDY = "give a list of cameras with cam_from_world, intrinsics, height and width"
 SWAY = 0.12
 """Radius of the orbit in units of the distance to what it looks at. What no photo saw is empty,
 so that the orbit stays near the photos."""
@@ -107,28 +110,28 @@ def read_camera_path(file: Path) -> CameraPath:
 
     Raises:
         FileNotFoundError: No such file.
-        ValueError: It is no such list, or the sizes differ.
+        ValueError: It is no such list, a camera cannot be, or the sizes differ.
     """
     if not file.is_file():
         raise FileNotFoundError(
             f"no camera path {file}: wanted 'inputs', 'orbit' or a file like cameras.json"
         )
-    try:
-        entries = json.loads(file.read_text(encoding="utf-8"))
-        cam_from_world = torch.tensor([entry["cam_from_world"] for entry in entries])
-        intrinsics = torch.tensor([entry["intrinsics"] for entry in entries])
-        sizes = {(int(entry["height"]), int(entry["width"])) for entry in entries}
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{file} is no list of cameras with cam_from_world, intrinsics, height and width: "
-            f"{error}"
-        ) from error
-    good = cam_from_world.shape[1:] == (4, 4) and intrinsics.shape[1:] == (3, 3)
-    if not good or not cam_from_world.isfinite().all() or not intrinsics.isfinite().all():
-        raise ValueError(
-            f"{file}: cam_from_world must be 4 x 4 and intrinsics 3 x 3 finite numbers"
-        )
-    if len(sizes) != 1 or min(min(size) for size in sizes) < 1:
+    entries = read_json(file, REMEDY)
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{file} is no list of cameras; {REMEDY}")
+    poses, intrinsics, sizes = [], [], set()
+    for index, entry in enumerate(entries):
+        where = f"{file}: camera {index}"
+        with naming_damage(where, REMEDY):
+            height, width = (whole_number(entry[name], 1) for name in ("height", "width"))
+            if height * width > MAX_PIXELS:
+                raise ValueError(f"pictures of {height} x {width} are too large")
+            sizes.add((height, width))
+            poses.append(read_pose(entry["cam_from_world"], where=where))
+            intrinsics.append(
+                read_intrinsics(entry["intrinsics"], where=where, height=height, width=width)
+            )
+    if len(sizes) > 1:
         raise ValueError(f"{file}: all cameras must have one picture size, found {sorted(sizes)}")
-    height, width = sizes.pop()
-    return CameraPath(Cameras(cam_from_world.float(), intrinsics.float()), height, width)
+    cameras = Cameras(torch.stack(poses).float(), torch.stack(intrinsics).float())
+    return CameraPath(cameras, *sizes.pop())

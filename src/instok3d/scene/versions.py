@@ -1,5 +1,6 @@
 """Versions of the scene folder, and how the header of an older one becomes one of today."""
 
+import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,13 @@ def upgraded(header: Any, file: Path) -> dict[str, Any]:
     version = header.get("version") if isinstance(header, dict) else None
     if type(version) is not int or not 1 <= version <= VERSION:
         raise ValueError(
-            f"{file}: this program reads scenes of versions 1 to {VERSION}, not {version!r}; "
-            "reconstruct the scene again or use a newer program"
+            f"{file}: this program reads scenes of versions 1 to {VERSION}, not "
+            f"{reprlib.repr(version)}; reconstruct the scene again or use a newer program"
         )
     for step in range(version, VERSION):
         header = UPGRADES[step](header)
     if header.get("inputs_folder") not in INPUTS_FOLDERS:
-        raise ValueError(f"{file}: inputs_folder is {header.get('inputs_folder')!r}, not 'inputs'")
+        raise ValueError(
+            f"{file}: inputs_folder is {reprlib.repr(header.get('inputs_folder'))}, not 'inputs'"
+        )
     return header
