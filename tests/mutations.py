@@ -147,10 +147,8 @@ def _places(holder: Any, key: Any) -> Iterator[tuple[Any, Any]]:
     """Every place in a value of JSON, as what holds it and its key."""
     yield holder, key
     inner = holder[key]
-    keys = (
-        inner if isinstance(inner, dict) else range(len(inner)) if isinstance(inner, list) else ()
-    )
-    for each in keys:
+    keys = range(len(inner)) if isinstance(inner, list) else inner
+    for each in keys if isinstance(inner, list | dict) else ():
         yield from _places(inner, each)
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from instok3d.types import Anchors, Cameras, Gaussians, Geometry, Views
+from instok3d.types import Anchors, Cameras, Gaussians, Geometry, Views, check_gaussians
 
 
 def gaussians(count: int, *, batch: tuple[int, ...] = (), first: float = 0.0) -> Gaussians:
@@ -91,3 +91,30 @@ def test_what_is_unknown_stays_unknown_and_nested_stages_are_reached():
     assert both.depths.shape == (2, 1, 4, 4)
     assert both.cameras.intrinsics.shape == (2, 1, 3, 3)
     assert geometry.map(lambda value: value + 1).cameras.intrinsics[0, 0, 0].tolist() == [2, 1, 1]
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_gaussians_that_can_be_drawn_pass_and_none_do_too(batch):
+    check_gaussians(gaussians(10, batch=batch), "x")
+    check_gaussians(gaussians(0, batch=batch), "x")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("means", torch.nan), ("means", -1e10), ("quats", 0.0), ("quats", torch.nan),
+        ("scales", 0.0), ("scales", 1e10), ("scales", torch.nan), ("opacities", -0.01),
+        ("opacities", 1.01), ("opacities", torch.nan), ("sh", torch.inf), ("anchor_index", -1),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_drawn_is_named(name: str, value: float):
+    tensors = {key: tensor.clone() for key, tensor in vars(gaussians(5)).items()}
+    tensors[name][2] = value
+    with pytest.raises(ValueError, match=rf"a\.itk has \d+ values in {name} that are no "):
+        check_gaussians(Gaussians(**tensors), "a.itk")
+
+
+def test_two_colour_coefficients_are_of_no_degree():
+    five = gaussians(5)
+    with pytest.raises(ValueError, match="x has 2 colour coefficients in sh, wanted 1, 4, 9 or 16"):
+        check_gaussians(Gaussians(**(vars(five) | {"sh": five.sh[:, :2]})), "x")

@@ -1,4 +1,4 @@
-"""However a scene folder, a PLY or a path of cameras is damaged: it is read, or refused in a line."""
+"""A damaged scene folder, PLY or path of cameras is read, or refused in one line."""
 
 import json
 from pathlib import Path
