@@ -8,7 +8,6 @@ in the folder, such as previews/, is not read.
 """
 
 import dataclasses
-import json
 import os
 import reprlib
 from collections.abc import Callable
