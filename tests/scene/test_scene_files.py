@@ -280,7 +280,7 @@ DAMAGE |= {
     ),
     "view 1 has a pose whose last row is": change_camera("cam_from_world", 3, 0, 0.1),
     "view 1 stands 1e.30 units from the origin": change_camera("cam_from_world", 0, 3, 1e30),
-    "view 1 has the focal lengths -2": change_camera("intrinsics", 0, 0, -2.0),
+    "view 1 has the focal length -2": change_camera("intrinsics", 0, 0, -2.0),
     "view 1 has intrinsics with 3 below the diagonal": change_camera("intrinsics", 1, 0, 3.0),
     "the number NaN is not finite": change_camera("intrinsics", 0, 2, torch.nan),
     "num_gaussians of 'object#1' is not that": damage_json(
