@@ -305,6 +305,25 @@ def test_render_writes_a_strip_of_an_orbit_at_any_size(room: str, tmp_path: Path
         assert picture.getpixel((15, 0)) == (255, 255, 255)
 
 
+def test_a_picture_of_another_shape_is_not_stretched_and_says_so(
+    room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for number, (words, size, told) in enumerate((
+        (["--width", "64"], (64, 48), False),
+        (["--height", "48"], (64, 48), False),
+        (["--width", "96", "--height", "48"], (96, 48), True),
+    )):  # fmt: skip
+        file = tmp_path / f"{number}.png"
+        orbit = ["--path", "orbit", "--frames", "1"]
+        assert main(["render", room, "-o", str(file), *orbit, *words]) == 0
+        assert ("note: pictures of 96 x 48 have another shape" in capsys.readouterr().err) == told
+        with Image.open(file) as picture:
+            assert picture.size == size
+    with Image.open(tmp_path / "2.png") as wide, Image.open(tmp_path / "1.png") as own:
+        middle = np.array(wide, dtype=int)[:, 16:80]
+        assert abs(middle - np.array(own, dtype=int)).max() <= 2
+
+
 def test_render_takes_cameras_of_a_file(room: str, tmp_path: Path):
     own, inputs = tmp_path / "own.png", tmp_path / "inputs.png"
     assert main(["render", room, "-o", str(own), "--path", f"{room}/cameras.json"]) == 0
@@ -318,7 +337,13 @@ def test_render_refuses_what_is_not_there(room: str, tmp_path: Path, capsys: pyt
         ("-o", strip, "--only", "2"): "no object 2 in this scene; its ids are: 1, 3",
         ("-o", strip, "--path", "nowhere.json"): "no camera path nowhere.json",
         ("-o", strip, "--path", f"{room}/objects.json"): "is no list of cameras",
-        ("-o", strip, "--path", "orbit", "--frames", "0"): "at least 1 frame",
+        ("-o", strip, "--path", "orbit", "--frames", "0"): "frames must lie in 1..",
+        ("-o", strip, "--frames", "-3"): "frames must lie in 1..",
+        ("-o", strip, "--path", "orbit", "--frames", "90000"): "90000 pictures of 32 x 24",
+        ("-o", strip, "--fps", "0"): "fps must be at least 1, got 0",
+        ("-o", strip, "--height", "0"): "height must be a whole number of at least 1 pixel, got 0",
+        ("-o", strip, "--width", "-4"): "width must be",
+        ("-o", strip, "--width", "1000000000"): "a picture may have 33,554,432",
         ("-o", str(tmp_path / "a.gif")): "must end in .png or .mp4",
     }.items():
         assert main(["render", room, *words]) == 2
@@ -332,6 +357,10 @@ def test_render_writes_a_film(room: str, tmp_path: Path):
     film = tmp_path / "film.mp4"
     assert main(["render", room, "-o", str(film), "--path", "orbit", "--frames", "4"]) == 0
     assert imageio.imread(film).shape == (4, 24, 32, 3)
+    # H.264 wants even sides.
+    words = ["--frames", "2", "--path", "orbit", "--height", "21", "--overwrite"]
+    assert main(["render", room, "-o", str(film), *words]) == 0
+    assert imageio.imread(film).shape == (2, 22, 28, 3)
 
 
 def test_export_writes_a_ply_of_all_or_one(room: str, tmp_path: Path):

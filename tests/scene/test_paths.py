@@ -1,4 +1,6 @@
+import json
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -33,14 +35,19 @@ def test_an_orbit_keeps_its_target_in_the_middle_and_stays_near_the_photos(scene
     assert math.isclose(float(away[0]), float(away[4]), rel_tol=1e-4)
 
 
-def test_a_path_of_another_size_sees_the_same(scene: Scene):
-    path = camera_path(scene, "inputs", 1, height=48)
-    assert (path.height, path.width) == (48, 32)
-    # Only the height is doubled: fy and cy double, fx and cx stay.
-    small, large = scene.cameras.intrinsics[0], path.cameras.intrinsics[0]
-    torch.testing.assert_close(large, small * torch.tensor([[1.0], [2], [1]]))
+@pytest.mark.parametrize("frames", [0, -1, 10**12])
+@pytest.mark.parametrize("name", ["orbit", "inputs"])
+def test_a_path_of_no_or_endless_frames_is_refused(scene: Scene, name: str, frames: int):
+    with pytest.raises(ValueError, match=f"frames must lie in 1..100000, got {frames}"):
+        camera_path(scene, name, frames)
 
 
-def test_an_orbit_of_nothing_is_refused(scene: Scene):
-    with pytest.raises(ValueError, match="at least 1 frame, got 0"):
-        orbit(scene, 0)
+def test_a_file_of_cameras_of_impossible_pictures_is_refused(scene: Scene, tmp_path: Path):
+    scene.save(tmp_path / "room.itk")
+    entries = json.loads((tmp_path / "room.itk/cameras.json").read_text())
+    file = tmp_path / "path.json"
+    for height, width in ((0, 32), (10**6, 10**6), (-24, -32)):
+        sized = [entry | {"height": height, "width": width} for entry in entries]
+        file.write_text(json.dumps(sized))
+        with pytest.raises(ValueError, match=r"path\.json: (height|width)"):
+            camera_path(scene, str(file), 1)

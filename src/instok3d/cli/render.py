@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Int, UInt8
 
-    from instok3d.scene.paths import CameraPath
+    from instok3d.scene.picture_size import SizedCameras
     from instok3d.scene.scene import Scene
 
 PICTURES, FILMS = (".png",), (".mp4",)
@@ -37,15 +37,17 @@ def run(
         output: A folder for one PNG a camera, a .png with all of them side by side, or an .mp4
             (needs the extra instok3d[video]).
         path: "inputs", "orbit", or a cameras.json in the format of a scene folder.
-        frames: Pictures of an orbit.
-        fps: Pictures a second of a film.
-        height: Of the pictures; that of the scene's views if left out.
+        frames: Pictures of an orbit, at least 1.
+        fps: Pictures a second of a film, at least 1.
+        height: Of the pictures, pixels. One side alone keeps the shape; both together show more on
+            two sides where the shape is another one, and never stretch.
         width: Likewise.
         only: Id or key of one object to draw alone, on white.
         ids: Also write which object each pixel shows: NNN_ids.png with the ids in a folder, the
             objects' display colours below the pictures of a .png and instead of those of an .mp4.
         overwrite: Replace files that are already there.
     """
+    from instok3d.cli.progress import plain_warnings
     from instok3d.cli.targets import check_file, object_name
     from instok3d.scene.paths import camera_path
     from instok3d.scene.scene import Scene
@@ -54,8 +56,11 @@ def run(
         check_file(output, overwrite=overwrite, endings=PICTURES + FILMS)
     elif output.exists() and not (output.is_dir() and (overwrite or not any(output.iterdir()))):
         raise FileExistsError(f"{output} is already there; pass --overwrite to write into it")
+    if fps < 1:
+        raise ValueError(f"fps must be at least 1, got {fps}")
     loaded = Scene.load(scene)
-    way = camera_path(loaded, path, frames, height, width)
+    with plain_warnings():
+        way = fit_to_file(camera_path(loaded, path, frames, height, width), output, ids=ids)
     drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
     shots = take_shots(loaded, way, drawn, ids=ids)
     if output.suffix in FILMS:
@@ -65,6 +70,27 @@ def run(
     else:
         count = write_pictures(shots, output, overwrite=overwrite)
     print(f"{count} pictures written to {output}")
+
+
+def fit_to_file(path: "SizedCameras", output: Path, *, ids: bool) -> "SizedCameras":
+    """The path as a kind of file can hold it.
+
+    Raises:
+        ValueError: All pictures side by side are too large for one.
+    """
+    from instok3d.scene.picture_size import MAX_PICTURE_PIXELS, resize_cameras
+
+    if output.suffix in FILMS:  # H.264 wants even sides: a row or a column more
+        return resize_cameras(path, path.height + path.height % 2, path.width + path.width % 2)
+    count = len(path.cameras.intrinsics)
+    pixels = count * path.width * path.height * (2 if ids else 1)
+    if output.suffix in PICTURES and pixels > MAX_PICTURE_PIXELS:
+        raise ValueError(
+            f"{output} would have {pixels:,} pixels, as {count} pictures of {path.width} x "
+            f"{path.height} side by side; a picture may have {MAX_PICTURE_PIXELS:,}: write to a "
+            "folder or a film, or give fewer frames or a smaller size"
+        )
+    return path
 
 
 @dataclass(frozen=True)
@@ -78,7 +104,7 @@ class Shot:
 
 
 def take_shots(
-    scene: "Scene", path: "CameraPath", only: int | str | None, *, ids: bool
+    scene: "Scene", path: "SizedCameras", only: int | str | None, *, ids: bool
 ) -> Iterator[Shot]:
     """The pictures one after the other: together they could fill the memory."""
     from instok3d.pictures import color_picture, id_picture

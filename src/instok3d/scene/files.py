@@ -28,6 +28,7 @@ from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.reading import naming_damage, number, read_json, text, whole_number
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
 from instok3d.types import Cameras, Gaussians, check_gaussians
@@ -38,8 +39,7 @@ FORMAT = "instok3d scene"
 REMEDY = "reconstruct the scene again"
 MAX_VIEWS = 10_000
 MAX_FAR = 1e12
-MAX_PIXELS = 2**26
-"""Sizes beyond these are taken for damage before anything is allocated."""
+"""More are taken for damage before anything is allocated, as are views that are too large."""
 
 
 def save_record(
@@ -145,7 +145,7 @@ def load_record(path: Path) -> SceneRecord:
 def _about(header: dict[str, Any]) -> dict[str, Any]:
     """The fields of the scene that scene.json says itself."""
     height, width = whole_number(header["height"], 1), whole_number(header["width"], 1)
-    if height * width > MAX_PIXELS:
+    if height * width > MAX_PICTURE_PIXELS:
         raise ValueError(f"bad picture size {height} x {width}")
     _one_of(header["format"], (FORMAT,))
     near_far, made = header["near_far"], header["provenance"]

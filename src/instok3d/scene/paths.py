@@ -1,7 +1,6 @@
 """Cameras to look at a scene from: its inputs, a sway around them, or those of a file."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -9,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.camera_json import read_intrinsics, read_pose
-from instok3d.geometry.cameras import invert_rigid, resize_intrinsics, rigid
+from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.reading import naming_damage, read_json, whole_number
-from instok3d.scene.files import MAX_PIXELS
+from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.scene.scene import Scene
 from instok3d.types import Cameras
 
@@ -19,56 +18,45 @@ REMEDY = "give a list of cameras with cam_from_world, intrinsics, height and wid
 SWAY = 0.12
 """Radius of the orbit in units of the distance to what it looks at. What no photo saw is empty,
 so that the orbit stays near the photos."""
-
-
-@dataclass(frozen=True)
-class CameraPath:
-    """Cameras with the size of their pictures."""
-
-    cameras: Cameras
-    height: int
-    width: int
+MAX_FRAMES = 100_000
+"""More are taken for a slip: at 20 pictures a second this is a film of 83 minutes."""
 
 
 def camera_path(
     scene: Scene, name: str, frames: int, height: int | None = None, width: int | None = None
-) -> CameraPath:
+) -> SizedCameras:
     """The path of a name: "inputs", "orbit", or a file like a scene's cameras.json.
+
+    The pictures are never stretched to a size, see `resize_cameras`.
 
     Args:
         scene: What will be looked at.
         name: See above.
         frames: Number of cameras of an orbit, at least 1.
-        height: Of the pictures; the scene's (or the file's) when None.
+        height: Of the pictures; the scene's (or the file's) when both are None.
         width: Likewise.
 
     Raises:
         FileNotFoundError: No file of this name.
-        ValueError: The file holds no cameras of one size, or frames is below 1.
+        ValueError: The file holds no cameras of one size, frames is not in 1..MAX_FRAMES, or the
+            size is none that a picture can have.
     """
+    if not 1 <= frames <= MAX_FRAMES:
+        raise ValueError(f"frames must lie in 1..{MAX_FRAMES}, got {frames}")
     if name == "inputs":
-        own = CameraPath(scene.cameras, scene.height, scene.width)
+        own = SizedCameras(scene.cameras, scene.height, scene.width)
     elif name == "orbit":
-        own = CameraPath(orbit(scene, frames), scene.height, scene.width)
+        own = SizedCameras(orbit(scene, frames), scene.height, scene.width)
     else:
         own = read_camera_path(Path(name))
-    height, width = height or own.height, width or own.width
-    intrinsics = resize_intrinsics(
-        own.cameras.intrinsics, scale_x=width / own.width, scale_y=height / own.height
-    )
-    return CameraPath(Cameras(own.cameras.cam_from_world, intrinsics), height, width)
+    return resize_cameras(own, height, width)
 
 
 def orbit(scene: Scene, frames: int) -> Cameras:
     """Cameras on a circle across the middle input's line of sight, all looking at one point.
 
     The point lies in front of that input, as far away as the Gaussians it sees lie in the median.
-
-    Raises:
-        ValueError: frames is below 1.
     """
-    if frames < 1:
-        raise ValueError(f"an orbit needs at least 1 frame, got {frames}")
     middle = len(scene.views) // 2
     cam_from_world = scene.cameras.cam_from_world[middle]
     z = (scene.gaussians.means @ cam_from_world[:3, :3].mT + cam_from_world[:3, 3])[:, 2]
@@ -105,7 +93,7 @@ def look_at(
     return invert_rigid(rigid(torch.stack([right, true_down, forward], dim=2), centers))
 
 
-def read_camera_path(file: Path) -> CameraPath:
+def read_camera_path(file: Path) -> SizedCameras:
     """Cameras of a JSON list of entries with cam_from_world, intrinsics, height and width.
 
     Raises:
@@ -124,8 +112,7 @@ def read_camera_path(file: Path) -> CameraPath:
         where = f"{file}: camera {index}"
         with naming_damage(where, REMEDY):
             height, width = (whole_number(entry[name], 1) for name in ("height", "width"))
-            if height * width > MAX_PIXELS:
-                raise ValueError(f"pictures of {height} x {width} are too large")
+            check_picture_size(height, width)
             sizes.add((height, width))
             poses.append(read_pose(entry["cam_from_world"], where=where))
             intrinsics.append(
@@ -134,4 +121,4 @@ def read_camera_path(file: Path) -> CameraPath:
     if len(sizes) > 1:
         raise ValueError(f"{file}: all cameras must have one picture size, found {sorted(sizes)}")
     cameras = Cameras(torch.stack(poses).float(), torch.stack(intrinsics).float())
-    return CameraPath(cameras, *sizes.pop())
+    return SizedCameras(cameras, *sizes.pop())

@@ -8,13 +8,17 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from instok3d.geometry.cameras import resize_intrinsics
+from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
 from instok3d.scene.files import load_record, save_record
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.scene.record import SceneRecord
 from instok3d.types import Cameras, Gaussians, Rendering
+
+MAP_BYTES = 10
+"""Peak memory for each pixel and group of a view's id map, measured with 40 groups."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,9 @@ class Scene(SceneRecord):
         Args:
             cameras: Unbatched, in the scene's world, intrinsics for the asked size; or indices
                 of input views; or None for all of those.
-            height: Of the pictures, pixels; the scene's own when None. Intrinsics of input
-                views are scaled to it.
+            height: Of the pictures, pixels. Input views keep their shape where one side alone is
+                given, and are of the scene's own size where none is; where both are, they see
+                more on two sides instead of being stretched, with a warning.
             width: Likewise.
             only: Ids or keys of the objects to draw; None draws everything, the rest too.
             ids: Return id maps too (not differentiable; see `group_maps`).
@@ -71,11 +76,17 @@ class Scene(SceneRecord):
 
         Raises:
             KeyError: `only` names an object that is not there.
-            ValueError: An index of a view that is not there.
+            ValueError: An index of a view that is not there, or a size of which no picture can be
+                made (`check_picture_size`).
+            NotEnoughMemoryError: Id maps of this size are predicted not to fit.
         """
-        height, width = height or self.height, width or self.width
-        if not isinstance(cameras, Cameras):
-            cameras = self._input_cameras(cameras, height, width)
+        if isinstance(cameras, Cameras):
+            height = self.height if height is None else height
+            width = self.width if width is None else width
+            check_picture_size(height, width)
+        else:
+            sized = resize_cameras(self._input_cameras(cameras), height, width)
+            cameras, height, width = sized.cameras, sized.height, sized.width
         gaussians = self.gaussians if only is None else self.part(only)
         near, far = self.near_far
         rendering = render(
@@ -115,23 +126,25 @@ class Scene(SceneRecord):
         """Write the scene folder, without previews; see `instok3d.scene.files.save_record`."""
         save_record(self, Path(path), overwrite=overwrite)
 
-    def _input_cameras(self, views: Sequence[int] | None, height: int, width: int) -> Cameras:
+    def _input_cameras(self, views: Sequence[int] | None) -> SizedCameras:
         indices = list(range(len(self.views)) if views is None else views)
         if any(not 0 <= index < len(self.views) for index in indices):
             raise ValueError(f"views must lie in 0..{len(self.views) - 1}, got {indices}")
-        intrinsics = resize_intrinsics(
-            self.cameras.intrinsics[indices],
-            scale_x=width / self.width,
-            scale_y=height / self.height,
-        )
-        return Cameras(self.cameras.cam_from_world[indices], intrinsics)
+        return SizedCameras(self.cameras.views(indices), self.height, self.width)
 
     @torch.no_grad()
     def _id_maps(
         self, gaussians: Gaussians, cameras: Cameras, height: int, width: int
     ) -> Int[Tensor, "view {height} {width}"]:
         """View by view: the maps of all groups in all views together could fill the memory."""
-        id_of_group = torch.zeros(self.tokens.assignment.shape[1], dtype=torch.long)
+        num_columns = self.tokens.assignment.shape[1]
+        refuse_beyond(
+            MAP_BYTES * num_columns * height * width,
+            what=f"object ids of pictures of {width} x {height}",
+            device=gaussians.means.device,
+            remedy=lambda limit: "give a smaller height or width, or leave the ids out",
+        )
+        id_of_group = torch.zeros(num_columns, dtype=torch.long)
         for item in self.objects:
             id_of_group[item.id - 1] = item.id
         near, far = self.near_far
