@@ -283,6 +283,25 @@ def test_info_tells_the_objects(room: str, capsys: pytest.CaptureFixture[str]):
     shown = capsys.readouterr().out
     assert "2 views of 24 x 32, 2 objects, 40 Gaussians (20 of them of objects)" in shown
     assert "object#3" in shown
+    assert "world: first camera, x right, y down, z forward; -y is up within 15 degrees" in shown
+
+
+def test_info_tells_which_way_is_up_in_a_world_of_given_cameras(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    # x right, z down, y forward, then turned by 90 degrees to the left: z is up.
+    down = [0.0, 0.0, -1.0]
+    rotations = torch.tensor([[[1.0, 0, 0], down, [0, 1, 0]], [[0, 1, 0], down, [-1, 0, 0]]])
+    cameras = torch.eye(4).repeat(2, 1, 1)
+    cameras[:, :3, :3] = rotations
+    made_scene(made_tokens(), cam_from_world=cameras).save(tmp_path / "room.itk")
+    assert main(["info", str(tmp_path / "room.itk")]) == 0
+    shown = capsys.readouterr().out
+    assert "up is (0, 0, 1) by how they are turned" in shown
+    assert "y down" not in shown
+    assert main(["info", str(tmp_path / "room.itk"), "--json"]) == 0
+    vertical = json.loads(capsys.readouterr().out)["vertical"]
+    assert (vertical["up"], vertical["source"]) == ([0, 0, 1], "given cameras")
 
 
 def test_render_writes_a_folder_with_ids(room: str, tmp_path: Path):

@@ -1,6 +1,7 @@
 """`instok3d info`: what is in a scene."""
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ def summary(scene: "Scene") -> dict[str, Any]:
         "num_gaussians": len(scene.gaussians.means),
         "units": scene.units,
         "frame": scene.frame,
+        "vertical": asdict(scene.vertical),
+        "near_far": list(scene.near_far),
         "height": scene.height,
         "width": scene.width,
         "provenance": dict(vars(scene.provenance)),
@@ -50,7 +53,7 @@ def describe(scene: "Scene") -> str:
         f"{len(scene.views)} views of {scene.height} x {scene.width}, "
         f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians "
         f"({owned} of them of objects)",
-        f"world: {scene.frame}, x right, y down, z forward; lengths in {lengths}",
+        f"world: {scene.frame}, {axes(scene)}; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
         *(f"note: {line}" for line in scene.warnings),
     ]
@@ -63,6 +66,18 @@ def describe(scene: "Scene") -> str:
         numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {item.best_view.view:9}"
         lines.append(f"{name:12} {numbers}  {size}")
     return "\n".join(lines)
+
+
+def axes(scene: "Scene") -> str:
+    """The axes of the world, and which way is up as far as that is known."""
+    vertical = scene.vertical
+    trust = f"within 15 degrees with probability {vertical.confidence:.2f}"
+    if scene.frame == "first camera":
+        return f"x right, y down, z forward; -y is up {trust}"
+    if not vertical.is_stated:
+        return "with their axes; the cameras do not tell which way is up"
+    up = ", ".join(f"{value:.3g}" for value in vertical.up)
+    return f"with their axes; up is ({up}) by how they are turned, {trust}"
 
 
 def print_json(value: dict[str, Any]) -> None:

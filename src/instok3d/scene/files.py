@@ -31,9 +31,15 @@ from instok3d.scene.objects import SceneObject
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
+from instok3d.scene.vertical import Vertical, find_vertical
 from instok3d.types import Cameras, Gaussians, check_gaussians
 
-AXES = "OpenCV: x right, y down, z forward; quaternions wxyz; pixel centres at +0.5"
+AXES = {
+    "first camera": "OpenCV: x right, y down, z forward; quaternions wxyz; pixel centres at +0.5",
+    "given cameras": "cameras OpenCV: x right, y down, z forward; the world as they were given in; "
+    "quaternions wxyz; pixel centres at +0.5",
+}
+"""By frame."""
 TENSOR_FILES = {"gaussians.safetensors": Gaussians, "tokens.safetensors": SceneTokens}
 FORMAT = "instok3d scene"
 REMEDY = "reconstruct the scene again"
@@ -131,6 +137,8 @@ def load_record(path: Path) -> SceneRecord:
         raise ValueError(f"{path / 'gaussians.safetensors'}: anchor_index beyond {num_anchors}")
     if about["near_far"] == FROM_GAUSSIANS:
         about["near_far"] = near_and_far(gaussians, cameras)
+    if about["vertical"] is None:
+        about["vertical"] = find_vertical(cameras.cam_from_world, about["frame"])
     return SceneRecord(
         **about,
         gaussians=gaussians,
@@ -154,6 +162,7 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
         "width": width,
         "units": _one_of(header["units"], ("metres", "arbitrary")),
         "frame": _one_of(header["frame"], ("first camera", "given cameras")),
+        "vertical": Vertical.from_json(header["vertical"]) if "vertical" in header else None,
         "near_far": near_far if near_far == FROM_GAUSSIANS else _near_far(near_far),
         "warnings": tuple(text(line) for line in header["warnings"]),
         "provenance": Provenance(
@@ -171,7 +180,8 @@ def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
         "version": VERSION,
         "units": scene.units,
         "frame": scene.frame,
-        "axes": AXES,
+        "axes": AXES[scene.frame],
+        "vertical": dataclasses.asdict(scene.vertical),
         "near_far": list(scene.near_far),
         "inputs_folder": "inputs",
         "height": scene.height,

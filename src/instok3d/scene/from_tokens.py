@@ -16,6 +16,7 @@ from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import BestView, SceneObject, describe_shape
 from instok3d.scene.record import Provenance, SceneTokens, SceneView, near_and_far
 from instok3d.scene.scene import Scene
+from instok3d.scene.vertical import find_vertical
 from instok3d.types import Cameras, Gaussians, TokenGroups
 
 MIN_PIXELS = 20
@@ -86,11 +87,12 @@ def scene_from_tokens(
             raise ValueError(
                 "the model gave tokens or cameras that are not finite; try another model file"
             )
+    frame = "first camera" if cam_from_world is None else "given cameras"
     bare = Scene(
         gaussians=gaussians, tokens=compact, cameras=cameras,
         height=photos.shape[1], width=photos.shape[2], objects=(), views=tuple(views),
-        photos=photos, units=units,
-        frame="first camera" if cam_from_world is None else "given cameras",
+        photos=photos, units=units, frame=frame,
+        vertical=find_vertical(cameras.cam_from_world, frame),
         near_far=near_and_far(gaussians, cameras),
         warnings=(*notes, *dropped), provenance=provenance,
     )  # fmt: skip

@@ -20,6 +20,8 @@ SWAY = 0.12
 so that the orbit stays near the photos."""
 MAX_FRAMES = 100_000
 """More are taken for a slip: at 20 pictures a second this is a film of 83 minutes."""
+STEEPEST = 0.9
+"""Largest cosine between line of sight and vertical at which that keeps pictures upright."""
 
 
 def camera_path(
@@ -56,6 +58,8 @@ def orbit(scene: Scene, frames: int) -> Cameras:
     """Cameras on a circle across the middle input's line of sight, all looking at one point.
 
     The point lies in front of that input, as far away as the Gaussians it sees lie in the median.
+    The pictures stand upright by the scene's vertical, if that is known from given cameras, and
+    else as that input does.
     """
     middle = len(scene.views) // 2
     cam_from_world = scene.cameras.cam_from_world[middle]
@@ -68,11 +72,20 @@ def orbit(scene: Scene, frames: int) -> Cameras:
         [radius * angle_rad.cos(), 0.5 * radius * angle_rad.sin(), torch.zeros(frames)], dim=1
     )
     target = torch.tensor([0.0, 0.0, distance])
-    cam_from_middle = look_at(centers, target.expand(frames, 3), torch.tensor([0.0, 1.0, 0.0]))
+    cam_from_middle = look_at(centers, target.expand(frames, 3), _down(scene, cam_from_world))
     return Cameras(
         cam_from_middle @ cam_from_world,
         scene.cameras.intrinsics[middle].expand(frames, 3, 3),
     )
+
+
+def _down(scene: Scene, cam_from_world: Float[Tensor, "4 4"]) -> Float[Tensor, " 3"]:
+    """What shall point down in pictures from about a camera, in its frame."""
+    down = cam_from_world[:3, :3] @ -torch.tensor(scene.vertical.up)
+    known = scene.vertical.source == "given cameras" and scene.vertical.is_stated
+    if known and abs(float(down[2])) < STEEPEST:
+        return down
+    return torch.tensor([0.0, 1.0, 0.0])
 
 
 def look_at(

@@ -101,12 +101,23 @@ def read_ply(path: Path) -> Gaussians:
 
 
 def scene_comments(scene: Scene) -> tuple[str, ...]:
-    """What the header of a scene's PLY says of its frame and units."""
+    """What the header of a scene's PLY says of its frame and units.
+
+    The vertical axis is left out where it is not known well enough.
+    """
+    vertical, world = scene.vertical, f"instok3d world: {scene.frame}"
+    up = " ".join(f"{value:.4g}" for value in vertical.up)
+    if scene.frame == "first camera":
+        world += ", OpenCV axes (x right, y down, z forward)"
+    elif vertical.is_stated:
+        world += f", their axes; up estimated, confidence {vertical.confidence:.2f}"
+    else:
+        world += ", their axes; up unknown"
     return (
         "SplatRenderMode: default",
-        "Vertical axis: 0 -1 0",
+        *([f"Vertical axis: {up}"] if vertical.is_stated else []),
         f"instok3d generator: {scene.provenance.generator}",
-        f"instok3d world: {scene.frame}, OpenCV axes (x right, y down, z forward)",
+        world,
         f"instok3d units: {scene.units}",
         "instok3d order: sorted by object; rows of each object in objects.json, gaussian_range",
     )

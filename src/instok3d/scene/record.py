@@ -9,6 +9,7 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.vertical import Vertical
 from instok3d.types import Cameras, Flow, Gaussians
 
 NEAR, FAR = 0.02, 40.0
@@ -73,7 +74,10 @@ class SceneRecord:
     units: Literal["metres", "arbitrary"]
     """Of all lengths."""
     frame: Literal["first camera", "given cameras"]
-    """The world: OpenCV axes of the first view's camera, or that of the given cameras."""
+    """The world: OpenCV axes of the first view's camera, or that of the given cameras, whose
+    axes are their own."""
+    vertical: Vertical
+    """Which way is up in it."""
     near_far: tuple[float, float]
     """z-depths between which Gaussians are drawn, scene units. Fixed when the scene is made:
     an edit does not change what is drawn of the rest."""
