@@ -93,8 +93,9 @@ def parse_json(data: bytes | str, what: object, remedy: str) -> Any:
             parse_constant=_finite,
             object_pairs_hook=_without_doubled_keys,
         )
-        if "\\ud" in content.lower():  # half a character, which can be neither printed nor a name
-            json.dumps(value, ensure_ascii=False).encode()
+        if "\\ud" in content.lower():
+            # Half a character stands for no text, but for a byte of a file name that is not UTF-8.
+            json.dumps(value, ensure_ascii=False).encode(errors="surrogateescape")
         return value
 
 
