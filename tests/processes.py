@@ -16,7 +16,6 @@ from instok3d.training import distributed
 from instok3d.training.checkpoint import has_checkpoint
 from instok3d.training.config import TrainConfig
 from instok3d.training.loop import train
-from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
 from instok3d.training.update import NonFiniteLossError
 from toy_stage import ToyStage
 
@@ -62,10 +61,9 @@ def train_toy(config: TrainConfig, folder: Path, dropout: float, resume: bool = 
     return train(config, ToyStage(dropout=dropout), ROOMS, folder, resume=resume).reason
 
 
-def train_tokenizer(config: TrainConfig, folder: Path) -> str:
+def train_run(config: TrainConfig, folder: Path) -> str:
     distributed.MIN_UNIT_PARAMETERS = 1000  # so that small blocks are gathered one at a time too
-    assert isinstance(config.stage, TokenizerStageConfig)
-    return train(config, TokenizerStage(config.stage), ROOMS, folder).reason
+    return train(config, config.stage.build(), ROOMS, folder).reason
 
 
 def train_toy_with_one_bad_process(config: TrainConfig, folder: Path) -> str:

@@ -1,7 +1,11 @@
-"""The smallest stage: one linear map from mean context colour to mean target depth."""
+"""The smallest stage: one linear map from mean context colour to mean target depth.
+
+Nothing in src knows of it.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from PIL import Image
@@ -9,11 +13,39 @@ from torch import Tensor, nn
 
 from instok3d.data.batches import BatchConfig
 from instok3d.data.sample import Sample
-from instok3d.training.config import TrainConfig, preset
-from instok3d.training.stages.stage import StepLoss
+from instok3d.files import write_safetensors
+from instok3d.training.config import preset
+from instok3d.training.stages.answers import AveragedRun, DataNeeds, Workload
+from instok3d.training.stages.stage import StageConfig, StepLoss
+
+
+@dataclass(frozen=True)
+class ToyStageConfig(StageConfig):
+    width: int = 8
+    dropout: float = 0.5
+
+    def build(self) -> "ToyStage":
+        return ToyStage(dropout=self.dropout, width=self.width)
+
+    def new_model(self) -> nn.Module:
+        return nn.Sequential(
+            nn.Linear(3, self.width), nn.Dropout(self.dropout), nn.Linear(self.width, 1), Gain()
+        )
+
+    def workload(self) -> Workload:
+        return Workload()
+
+    def data_needs(self) -> DataNeeds:
+        return DataNeeds(depths=True)
+
+    def export(self, run: AveragedRun, output: Path, *, half: bool) -> None:
+        weights = {name: w.half() if half else w for name, w in run.weights.items()}
+        write_safetensors(output, weights, {"name": run.card["name"]})
+
 
 TINY = replace(
     preset("nano-geometry"),
+    stage=ToyStageConfig(),
     batches=BatchConfig(batch_size=2),
     steps=6,
     warmup_steps=2,
@@ -24,7 +56,6 @@ TINY = replace(
     checkpoint_every_s=1e9,
     amp=False,
 )
-assert isinstance(TINY, TrainConfig)
 
 
 class Gain(nn.Module):
@@ -44,15 +75,16 @@ class ToyStage:
         bad_step: int | None = None,
         bad_gradient_step: int | None = None,
         dropout: float = 0.5,
+        width: int = 8,
     ) -> None:
-        self.dropout = dropout
+        self.config = ToyStageConfig(width, dropout)
         self.bad_step = bad_step
         self.bad_gradient_step = bad_gradient_step
 
     learns_whole = True
 
     def build_model(self) -> nn.Module:
-        return nn.Sequential(nn.Linear(3, 8), nn.Dropout(self.dropout), nn.Linear(8, 1), Gain())
+        return self.config.new_model()
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
         model.load_state_dict(dict(weights))

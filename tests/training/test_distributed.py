@@ -16,9 +16,9 @@ from instok3d.training.distributed import Processes, joined_processes, share
 from instok3d.training.run_log import read_metrics
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
 from processes import run_processes
-from toy_stage import TINY, ToyStage
+from toy_stage import TINY, ToyStage, ToyStageConfig
 
-TOY = replace(TINY, steps=5, clip_norm=0.05, threads=1)
+TOY = replace(TINY, stage=ToyStageConfig(dropout=0.0), steps=5, clip_norm=0.05, threads=1)
 """The norm of every gradient is above what it is clipped to."""
 TOKENIZER = replace(
     TOY,
@@ -45,17 +45,11 @@ def with_batch(config: TrainConfig, size: int) -> TrainConfig:
 
 
 def run(config: TrainConfig, folder: Path) -> None:
-    if isinstance(config.stage, TokenizerStageConfig):
-        processes.train_tokenizer(config, folder)
-    else:
-        processes.train_toy(config, folder, 0.0)
+    processes.train_run(config, folder)
 
 
 def run_two(config: TrainConfig, folder: Path) -> None:
-    if isinstance(config.stage, TokenizerStageConfig):
-        run_processes(2, processes.train_tokenizer, config, folder)
-    else:
-        run_processes(2, processes.train_toy, config, folder, 0.0)
+    run_processes(2, processes.train_run, config, folder)
 
 
 def assert_nearly_the_same_run(a: Path, b: Path, steps: int) -> None:

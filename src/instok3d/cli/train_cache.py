@@ -13,11 +13,13 @@ from tyro.conf import AvoidSubcommands, arg
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.opening import open_training_scenes
 from instok3d.model.memory import Work, check_memory
+from instok3d.training.cache.settings import cached_backbone
 from instok3d.training.cache.writing import FeatureType, fill_cache
 from instok3d.training.checkpoint import read_weights
 from instok3d.training.config import TrainConfig, overlay, preset
 from instok3d.training.cost.estimate import samples_per_batch
 from instok3d.training.distributed import check_device
+from instok3d.training.stages.answers import FrozenBackbone
 
 BASE = preset("nano-tokenizer")
 
@@ -49,9 +51,10 @@ def cache(
     neither runs nor loads the backbone. Stop it at any time and give the same command again.
     """
     config = overlay(preset(arguments.preset), BASE, config)
+    frozen = cached_backbone(config)
     check_device(config.device)
     source = open_training_scenes(arguments.data, masks=config.masks)
-    _check_memory(config, source)
+    _check_memory(config, frozen, source)
     with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
 
         def on_scene(done: int, total: int) -> None:
@@ -77,7 +80,7 @@ def cache(
     )
 
 
-def _check_memory(config: TrainConfig, source: SceneSource) -> None:
+def _check_memory(config: TrainConfig, frozen: FrozenBackbone, source: SceneSource) -> None:
     """Refuse what is predicted not to fit, before the backbone is made."""
     if not len(source):
         raise ValueError("the data set has no scene of the training split")
@@ -91,7 +94,7 @@ def _check_memory(config: TrainConfig, source: SceneSource) -> None:
         batch=samples_per_batch(config, views),
     )
     check_memory(
-        config.stage.backbone,
+        frozen.config,
         None,
         work,
         device=config.device,

@@ -11,6 +11,7 @@ from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.opening import open_training_scenes
+from instok3d.training.cache.features import FeatureCache
 from instok3d.training.cache.settings import check_cache
 from instok3d.training.config import TrainConfig, overlay, preset, read_config
 from instok3d.training.cost.estimate import check_memory
@@ -18,10 +19,6 @@ from instok3d.training.cost.plan import make_plan, plan_text
 from instok3d.training.cost.scene_check import check_scenes
 from instok3d.training.distributed import check_device
 from instok3d.training.loop import train
-from instok3d.training.stages.adapt import AdaptStage, AdaptStageConfig
-from instok3d.training.stages.geometry import GeometryStage, GeometryStageConfig
-from instok3d.training.stages.stage import Stage
-from instok3d.training.stages.tokenizer import TokenizerStage
 from instok3d.weights import weights_path
 
 
@@ -111,10 +108,10 @@ def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSour
     assert arguments.output is not None
     check_device(config.device)
     check_memory(config, *check_scenes(config, source))
-    stage, init_from = _stage_of(config), arguments.init_from
-    if isinstance(stage, TokenizerStage) and stage.cache:
-        check_cache(stage.cache, config, source)
-    elif not (arguments.resume or init_from):
+    stage, init_from = config.stage.build(), arguments.init_from
+    if folder := config.stage.cache_folder():
+        check_cache(FeatureCache(folder), config, source)
+    if not (arguments.resume or init_from):
         init_from = _first_weights(config)
     outcome = train(
         config,
@@ -132,20 +129,13 @@ def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSour
         raise KeyboardInterrupt
 
 
-def _stage_of(config: TrainConfig) -> Stage:
-    if isinstance(config.stage, GeometryStageConfig):
-        return GeometryStage(config.stage)
-    if isinstance(config.stage, AdaptStageConfig):
-        return AdaptStage(config.stage)
-    return TokenizerStage(config.stage)
-
-
 def _first_weights(config: TrainConfig) -> Path | None:
     """Where a new run begins that was not told; None: with random weights."""
-    stage = config.stage
-    if isinstance(stage, AdaptStageConfig) and stage.weights:
-        return weights_path(stage.weights)
-    if isinstance(stage, GeometryStageConfig):
-        return None
-    kind = "an adapt" if isinstance(stage, AdaptStageConfig) else "a tokenizer"
-    raise ValueError(f"{kind} run needs --init-from RUN with a trained backbone")
+    first = config.stage.first_weights()
+    if first.published:
+        return weights_path(first.published)
+    if first.wanted:
+        name = config.stage.name
+        article = "an" if name[0] in "aeiou" else "a"
+        raise ValueError(f"{article} {name} run needs --init-from RUN with {first.wanted}")
+    return None

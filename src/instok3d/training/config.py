@@ -5,6 +5,7 @@ import re
 import types
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from inspect import isabstract
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -16,6 +17,7 @@ from instok3d.model.tokenizer import PAPER
 from instok3d.training.distributed import Strategy
 from instok3d.training.stages.adapt import AdaptStageConfig
 from instok3d.training.stages.geometry import GeometryStageConfig
+from instok3d.training.stages.stage import StageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
 
@@ -23,7 +25,7 @@ from instok3d.training.stages.tokenizer import TokenizerStageConfig
 class TrainConfig:
     """One training run. The paper's value stands behind a setting where it differs (Sec. 4)."""
 
-    stage: GeometryStageConfig | AdaptStageConfig | TokenizerStageConfig
+    stage: StageConfig
     """What is trained, with its sizes and losses."""
     batches: BatchConfig = field(default_factory=BatchConfig)
     masks: str | None = None
@@ -283,14 +285,14 @@ def to_json(config: Any) -> Any:
 
 
 def from_json(kind: Any, value: Any, where: str = "config") -> Any:
-    """What `to_json` wrote, as `kind` again.
+    """What `to_json` wrote, as `kind` again, or as the subclass of it that was written.
 
     Raises:
         KeyError: A key that the dataclass does not have.
         ValueError: A value of another type than the field's.
     """
     if is_dataclass(kind) and isinstance(value, dict):
-        return _dataclass_from_json(kind, value, where)
+        return _dataclass_from_json(_written_class(kind, value, where), value, where)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         return from_json(_member(arguments, value, where), value, where)
@@ -318,6 +320,18 @@ def _dataclass_from_json(kind: Any, value: dict[str, Any], where: str) -> Any:
     if unknown:
         raise KeyError(f"{where} has no setting {unknown}; it has {known}")
     return kind(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in content.items()})
+
+
+def _written_class(kind: Any, value: dict[str, Any], where: str) -> Any:
+    """The class, or the subclass of an abstract one, that a dictionary was written from."""
+    if not isabstract(kind):
+        return kind
+    known = {each.__name__: each for each in kind.__subclasses__()}
+    if value.get("type") not in known:
+        raise ValueError(
+            f"{where} must be of one of the types {sorted(known)}, got {value.get('type')!r}"
+        )
+    return known[value["type"]]
 
 
 def _member(arguments: tuple[Any, ...], value: Any, where: str) -> Any:

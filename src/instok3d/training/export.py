@@ -1,25 +1,14 @@
-"""From a run to one file: a model that reconstruction loads, or a backbone to start from."""
+"""From a run to one file: what its stage is trained for, with a card."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
-
-from instok3d.backbones.registry import build_backbone, name_of
-from instok3d.backbones.vggt import VGGTConfig
-from instok3d.files import write_safetensors
-from instok3d.model.files import save_model
-from instok3d.training.cache.features import FeatureCache, of_backbone, with_backbone
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
 from instok3d.training.run_log import read_metrics
-from instok3d.training.stages.adapt import AdaptStageConfig
-from instok3d.training.stages.geometry import GeometryStageConfig
-from instok3d.training.stages.tokenizer import TokenizerStageConfig, new_tokenizer
-
-BACKBONE_FORMAT = "instok3d-backbone-1"
+from instok3d.training.stages.answers import AveragedRun
+from instok3d.training.stages.stage import StageConfig
 
 
 def export_model(
@@ -27,11 +16,11 @@ def export_model(
 ) -> dict[str, Any]:
     """Write the averaged weights of a run's newest checkpoint with a card; returns the card.
 
-    Of a tokenizer run the whole model; of an adapt run the backbone alone, whose head has done its
-    work: `--init-from` takes it.
+    What is written is the stage's (`StageConfig.export`): of a tokenizer run the whole model; of an
+    adapt run the backbone alone, which `--init-from` takes.
 
     Args:
-        run: Folder of a tokenizer run or an adapt run, finished or not.
+        run: Folder of a run, finished or not.
         output: The .safetensors file; its folder must exist.
         half: Store float16.
         image_side: Height and width of the pictures it was trained on, to which reconstruction
@@ -40,22 +29,15 @@ def export_model(
 
     Raises:
         FileNotFoundError: The run has no checkpoint.
-        ValueError: The run is of the geometry stage.
+        ValueError: The run is of a stage that has no file of its own, such as geometry.
     """
     checkpoint = read_checkpoint(run)
     config = from_json(TrainConfig, json.loads(checkpoint["config"]))
-    stage = config.stage
-    if isinstance(stage, GeometryStageConfig):
-        raise ValueError(
-            f"{run} trains {type(stage).__name__}, which is given on by its folder; export a "
-            "tokenizer run or an adapt run"
-        )
-    weights = {**checkpoint["model"], **checkpoint["average"]}
     validation = [x for x in read_metrics(run / "metrics.jsonl") if x["kind"] == "validation"]
     card = {
         "name": output.stem,
-        "image_side": image_side or _image_side(checkpoint, stage),
-        "unit": config.batches.unit if stage.target_cameras == "true" else None,
+        "image_side": image_side or _image_side(checkpoint, config.stage),
+        "unit": config.batches.unit if config.stage.learns_unit() else None,
         "steps": checkpoint["step"],
         "hours": round(checkpoint["elapsed_s"] / 3600, 2),
         "scenes": len(checkpoint["scene_names"]),
@@ -64,44 +46,13 @@ def export_model(
         "config": json.loads(checkpoint["config"]),
         "notes": notes,
     }
-    if isinstance(stage, AdaptStageConfig):
-        _save_backbone(stage, of_backbone(weights), output, card, half)
-        return card
-    if stage.cache:
-        weights = with_backbone(FeatureCache(stage.cache), weights)
-    model = new_tokenizer(stage)
-    model.load_state_dict(weights)
-    save_model(model, output, card=card, half=half)
+    weights = {**checkpoint["model"], **checkpoint["average"]}
+    config.stage.export(AveragedRun(run, weights, card), output, half=half)
     return card
 
 
-def _image_side(checkpoint: dict[str, Any], stage: AdaptStageConfig | TokenizerStageConfig) -> int:
+def _image_side(checkpoint: dict[str, Any], stage: StageConfig) -> int:
     if checkpoint.get("image_size"):
         return min(checkpoint["image_size"])
     # Older checkpoints do not say; their runs were on pictures for which the backbone is made.
-    return stage.backbone.img_size if isinstance(stage.backbone, VGGTConfig) else 128
-
-
-def _save_backbone(
-    stage: AdaptStageConfig,
-    weights: dict[str, Tensor],
-    output: Path,
-    card: dict[str, Any],
-    half: bool,
-) -> None:
-    backbone = build_backbone(stage.backbone)
-    backbone.load_state_dict(weights)
-    state = {
-        name: value.half() if half and value.is_floating_point() else value
-        for name, value in backbone.state_dict().items()
-    }
-    for name, value in state.items():
-        if not value.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
-    metadata = {
-        "format": BACKBONE_FORMAT,
-        "backbone": name_of(backbone),
-        "backbone_config": json.dumps(asdict(stage.backbone)),
-        "card": json.dumps(card),
-    }
-    write_safetensors(output, state, metadata)
+    return getattr(stage.workload().backbone, "img_size", 128)

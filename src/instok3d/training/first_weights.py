@@ -1,7 +1,6 @@
-"""Weights that a stage begins with or is judged by: of backbones, and of LPIPS."""
+"""Weights of a backbone that a stage begins with."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from torch import Tensor
 
@@ -11,9 +10,7 @@ from instok3d.backbones.depth_anything3 import DepthAnything3Backbone, DepthAnyt
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.backbones.vggt import VGGTBackbone, VGGTConfig
 from instok3d.backbones.vggt import weights as vggt_weights
-from instok3d.objectives.lpips import Lpips, load_lpips
 from instok3d.training.cache.features import of_backbone
-from instok3d.weights import weights_path
 
 BackboneConfig = NanoConfig | VGGTConfig | DepthAnything3Config
 """Sizes of a backbone that a stage can be built on (`backbones.registry`)."""
@@ -35,20 +32,3 @@ def load_backbone(backbone: GeometryBackbone, weights: Mapping[str, Tensor]) -> 
         backbone.vggt.load_state_dict(vggt_weights.from_published(inner, backbone.config))
     else:
         backbone.load_state_dict(inner)
-
-
-def lpips_network(weight: float, file: Path | None, name: str) -> Lpips | None:
-    """The network of the perceptual loss; None where its weight is 0.
-
-    Args:
-        weight: Of the perceptual term in the loss.
-        file: Its weights as safetensors; None takes those of the catalogue.
-        name: In the catalogue (`instok3d models list`).
-
-    Raises:
-        MissingWeightsError: They are not on this machine; says how to get them.
-        ValueError: The file holds something else.
-    """
-    if weight <= 0:
-        return None
-    return load_lpips(weights_path(name) if file is None else file)

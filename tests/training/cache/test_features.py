@@ -22,7 +22,7 @@ from instok3d.model.files import load_model
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.training.cache.features import FeatureCache, scene_path
-from instok3d.training.cache.settings import check_cache, needed_inputs
+from instok3d.training.cache.settings import check_cache
 from instok3d.training.cache.writing import fill_cache
 from instok3d.training.config import TrainConfig, preset
 from instok3d.training.export import export_model
@@ -240,10 +240,10 @@ def test_other_settings_are_refused_with_both_values(cache: Path, change: dict, 
 def test_settings_that_need_less_are_taken(cache: Path):
     fewer = replace(CONFIG.batches, views=(3,), batch_size=7)
     check_cache(FeatureCache(cache), replace(CONFIG, batches=fewer), ROOMS)
-    assert needed_inputs(STAGE) == ("photos", "intrinsics")
-    assert needed_inputs(replace(STAGE, given_probability=1.0)) == ("intrinsics",)
+    assert STAGE.frozen_backbone().inputs == ("photos", "intrinsics")
+    assert replace(STAGE, given_probability=1.0).frozen_backbone().inputs == ("intrinsics",)
     alone = replace(STAGE, given_probability=0.0, intrinsics_probability=0.0)
-    assert needed_inputs(alone) == ("photos",)
+    assert alone.frozen_backbone().inputs == ("photos",)
 
 
 def test_other_data_are_refused(cache: Path):

@@ -6,47 +6,43 @@ from typing import Any
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.data.scenes import SceneSource
-from instok3d.training.cache.features import BackboneInput, FeatureCache, weights_sha256
+from instok3d.training.cache.features import FeatureCache, weights_sha256
 from instok3d.training.config import TrainConfig, to_json
 from instok3d.training.held_out import split_scenes
-from instok3d.training.stages.tokenizer import TokenizerStageConfig
+from instok3d.training.stages.answers import FrozenBackbone
 
 SCENES_CHECKED = 8
 """So many scenes are compared with the data when a run begins."""
 
 
-def cached_stage(config: TrainConfig) -> TokenizerStageConfig:
-    """The stage of a run whose features can be cached.
+def cached_backbone(config: TrainConfig) -> FrozenBackbone:
+    """The backbone of a run whose features can be cached.
 
     Raises:
-        ValueError: Its backbone learns, it is of another stage, or it draws new frames every time.
+        ValueError: It learns, the stage has none, or the run draws new frames every time.
     """
-    stage = config.stage
-    if not isinstance(stage, TokenizerStageConfig) or not stage.freeze_backbone:
-        raise ValueError("only a tokenizer stage with a frozen backbone has features to cache")
+    backbone = config.stage.frozen_backbone()
+    if backbone is None:
+        raise ValueError(
+            "only a stage with a frozen backbone has features to cache, and the backbone of this "
+            f"{config.stage.name} run is not frozen"
+        )
     if config.batches.samples_per_scene is None:
         raise ValueError(
             "features are cached of fixed samples: set batches.samples_per_scene, for example to 4"
         )
-    return stage
-
-
-def needed_inputs(stage: TokenizerStageConfig) -> tuple[BackboneInput, ...]:
-    """What the backbone is shown in the training steps of a stage."""
-    told = max(stage.given_probability, stage.intrinsics_probability) > 0
-    bare = stage.given_probability < 1 and stage.intrinsics_probability < 1
-    return (("photos",) if bare else ()) + (("intrinsics",) if told else ())
+    return backbone
 
 
 def cache_settings(config: TrainConfig, backbone: GeometryBackbone, dtype: str) -> dict[str, Any]:
     """Everything that the stored answers follow from, but the scenes; JSON values."""
-    stage = cached_stage(config)
+    frozen = cached_backbone(config)
     return {
-        "backbone": to_json(stage.backbone),
+        "backbone": to_json(frozen.config),
         "backbone_sha256": weights_sha256(backbone.state_dict()),
         "patch_size": backbone.patch_size,
         "feature_channels": backbone.feature_channels,
-        "inputs": list(needed_inputs(stage)),
+        "inputs": list(frozen.inputs),
         "dtype": dtype,
         "amp": config.amp,
         "seed": config.seed,
@@ -118,12 +114,12 @@ def differences(found: Any, wanted: Any, where: str = "") -> list[str]:
 
 def _unfit_settings(found: dict[str, Any], config: TrainConfig) -> list[str]:
     """What of a cache does not serve a run; it may hold more views and inputs than are needed."""
-    stage = cached_stage(config)
+    frozen = cached_backbone(config)
     batches, wanted = dict(found["batches"]), _batch_settings(config)
     parts = {
         "batches.views": (batches.pop("views"), wanted.pop("views")),
         "validation_views": (found["validation_views"], config.validation_views),
-        "inputs": (found["inputs"], needed_inputs(stage)),
+        "inputs": (found["inputs"], frozen.inputs),
     }
     phrases = [
         f"{name}: made with {list(held)}, wanted {list(needed)}"
@@ -132,7 +128,7 @@ def _unfit_settings(found: dict[str, Any], config: TrainConfig) -> list[str]:
     ]
     return [
         *phrases,
-        *differences(found["backbone"], to_json(stage.backbone), "stage.backbone"),
+        *differences(found["backbone"], to_json(frozen.config), "stage.backbone"),
         *differences(found["seed"], config.seed, "seed"),
         *differences(batches, wanted, "batches"),
     ]

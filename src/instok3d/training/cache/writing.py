@@ -30,9 +30,8 @@ from instok3d.training.cache.features import (
 )
 from instok3d.training.cache.settings import (
     cache_settings,
-    cached_stage,
+    cached_backbone,
     differences,
-    needed_inputs,
     scene_sha256,
     settings_sha256,
 )
@@ -92,9 +91,9 @@ def fill_cache(
             be rebuilt, a value does not fit the type, or another run is writing to the folder.
         OSError: The disk has too little space for all scenes.
     """
-    stage = cached_stage(config)
+    sizes = cached_backbone(config).config
     torch.manual_seed(config.seed)  # what the weights lack begins the same in every call
-    backbone = build_backbone(stage.backbone)
+    backbone = build_backbone(sizes)
     try:
         load_backbone(backbone, weights)
     except RuntimeError as error:
@@ -116,7 +115,7 @@ def _fill(
     dtype: FeatureType,
     on_scene: Callable[[int, int], None] | None,
 ) -> FilledCache:
-    stage = cached_stage(config)
+    frozen = cached_backbone(config)
     names = [source.name_of(number) for number in range(len(source))]
     held_out, training = split_scenes(source, names, config.holdout)
     settings = cache_settings(config, backbone, dtype)
@@ -124,7 +123,7 @@ def _fill(
     cache, tag = FeatureCache(folder), settings_sha256(settings)
     batches = SceneBatches(source, training, config.batches, seed=config.seed)
     made = samples = 0
-    checked = stage.given_probability == 0
+    checked = not frozen.given
     for done, number in enumerate(held_out + training):
         name, validation = names[number], done < len(held_out)
         metadata = {"settings": tag, "scene_sha256": scene_sha256(source, number)}
@@ -135,7 +134,7 @@ def _fill(
                 if not checked:
                     _check_given(backbone, moved, config)
                     checked = True
-                inputs = ("photos", "intrinsics") if validation else needed_inputs(stage)
+                inputs = ("photos", "intrinsics") if validation else frozen.inputs
                 for shown in inputs:
                     tensors |= _entries(backbone, moved, shown, config, getattr(torch, dtype))
                 samples += len(sample.keys)

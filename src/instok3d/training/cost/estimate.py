@@ -8,13 +8,10 @@ from torch import nn
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.backbones.depth_anything3 import DepthAnything3Config
-from instok3d.model.memory import Work, predict_peak_bytes, refuse_beyond
+from instok3d.model.memory import PROCESS_BYTES, Work, predict_peak_bytes, refuse_beyond
 from instok3d.model.on_paper import on_paper
 from instok3d.training.checkpoint import KEPT
 from instok3d.training.config import TrainConfig
-from instok3d.training.stages.adapt import AdaptStageConfig, new_adapt_model
-from instok3d.training.stages.geometry import GeometryStage, GeometryStageConfig
-from instok3d.training.stages.tokenizer import TokenizerStageConfig, new_tokenizer
 
 PEAK_TFLOPS = {
     "a6000": 155.0, "rtx4090": 165.0, "a100": 312.0, "l40s": 362.0, "h100": 989.0, "h200": 989.0,
@@ -40,15 +37,10 @@ class Part:
 
 def model_on_paper(config: TrainConfig) -> nn.Module:
     """The run's model, without memory for its weights where it can be made so."""
-    stage = config.stage
     # The package of Depth Anything 3 builds on true memory alone.
-    heavy = isinstance(stage.backbone, DepthAnything3Config)
+    heavy = isinstance(config.stage.workload().backbone, DepthAnything3Config)
     with nullcontext() if heavy else on_paper():
-        if isinstance(stage, GeometryStageConfig):
-            return GeometryStage(stage).build_model()
-        if isinstance(stage, AdaptStageConfig):
-            return new_adapt_model(stage)
-        return new_tokenizer(stage)
+        return config.stage.new_model()
 
 
 def parts_of(model: nn.Module) -> list[Part]:
@@ -77,23 +69,23 @@ def flop_per_sample(
     """Operations of one training sample of so many context views, forward and backward.
 
     2 for each parameter and patch of the context views, three times as much in parts that learn;
-    attention between tokens, solving for cameras and rendering are left out. The pixel-aligned
-    head sees pixels instead of patches. LPIPS adds its share for each pixel of the targets.
+    attention between tokens, solving for cameras and rendering are left out. Parts that work by the
+    pixel, and all parts of a model without a backbone, see pixels instead of patches. LPIPS adds
+    its share for each pixel of the targets.
     """
-    stage = config.stage
-    backbone = getattr(model, "backbone", model)
-    assert isinstance(backbone, GeometryBackbone)
+    work = config.stage.workload()
+    backbone = next((m for m in model.modules() if isinstance(m, GeometryBackbone)), None)
     pixels = views * height * width
-    patches = pixels // backbone.patch_size**2
+    patches = pixels // (1 if backbone is None else backbone.patch_size) ** 2
     total = 0.0
     for name, part in [("", model)] if backbone is model else list(model.named_children()):
-        seen = pixels if isinstance(stage, AdaptStageConfig) and name == "head" else patches
+        seen = pixels if name in work.pixel_parts else patches
         size = sum(p.numel() for p in part.parameters())
         learns = any(p.requires_grad for p in part.parameters())
         total += 2.0 * size * seen * (3 if learns else 1)
-    if isinstance(stage, TokenizerStageConfig) and stage.cache:
+    if backbone is not None and not work.backbone_runs:
         total -= 2.0 * sum(p.numel() for p in backbone.parameters()) * patches
-    if not isinstance(stage, GeometryStageConfig) and stage.lpips_weight > 0:
+    if work.lpips:
         total += LPIPS_FLOP_PER_PIXEL * targets_of(config, views) * height * width
     return total
 
@@ -127,11 +119,10 @@ def hours(flop: float, *, num_gpus: int, gpu: str) -> float:
 def training_memory_bytes(config: TrainConfig, model: nn.Module, height: int, width: int) -> int:
     """About what one process holds at the peak of a step with most views; see `model.memory`.
 
-    The pixel-aligned head of an adapt run adds input and output of each of its layers for every
-    pixel, kept for the backward pass. That FSDP shares weights among processes is left out.
+    Parts that work by the pixel add input and output of each of their layers for every pixel, kept
+    for the backward pass. That FSDP shares weights among processes is left out.
     """
-    stage, views = config.stage, max(config.batches.views)
-    adapts = isinstance(stage, AdaptStageConfig)
+    load, views = config.stage.workload(), max(config.batches.views)
     work = Work(
         views=views,
         height=height,
@@ -139,17 +130,24 @@ def training_memory_bytes(config: TrainConfig, model: nn.Module, height: int, wi
         dtype=torch.bfloat16 if config.amp else torch.float32,
         batch=samples_per_batch(config, views),
         training=True,
-        frozen_backbone=isinstance(stage, TokenizerStageConfig) and stage.freeze_backbone,
+        frozen_backbone=not load.backbone_learns,
         targets=targets_of(config, views),
-        lpips=not isinstance(stage, GeometryStageConfig) and stage.lpips_weight > 0,
-        cached_geometry=isinstance(stage, TokenizerStageConfig) and stage.cache is not None,
+        lpips=load.lpips,
+        cached_geometry=not load.backbone_runs,
     )
-    tokenizer = stage.tokenizer if isinstance(stage, TokenizerStageConfig) else None
-    total = predict_peak_bytes(stage.backbone, tokenizer, work)
-    if adapts:
-        channels = sum(_channels(module) for module in model.get_submodule("head").modules())
-        total += work.pixels * channels * work.narrow
-    return total
+    if load.backbone is None:
+        total, by_pixel = _bare_model_bytes(model), [model]
+    else:
+        total = predict_peak_bytes(load.backbone, load.tokenizer, work)
+        by_pixel = [model.get_submodule(name) for name in load.pixel_parts]
+    channels = sum(_channels(module) for part in by_pixel for module in part.modules())
+    return total + work.pixels * channels * work.narrow
+
+
+def _bare_model_bytes(model: nn.Module) -> int:
+    """Process, weights, and gradient, moments and average of those that learn."""
+    sizes = [(p.numel(), p.requires_grad) for p in model.parameters()]
+    return PROCESS_BYTES + 4 * sum(size * (5 if learns else 1) for size, learns in sizes)
 
 
 def check_memory(config: TrainConfig, height: int, width: int) -> None:

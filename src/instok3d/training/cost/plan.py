@@ -22,9 +22,7 @@ from instok3d.training.cost.estimate import (
 )
 from instok3d.training.cost.scene_check import check_scenes
 from instok3d.training.schedule import learning_rate
-from instok3d.training.stages.adapt import AdaptStageConfig
-from instok3d.training.stages.geometry import GeometryStageConfig
-from instok3d.training.stages.tokenizer import TokenizerStageConfig
+from instok3d.training.stages.answers import NeededWeights
 from instok3d.weights import weights_path
 
 PAPER_BATCH = 32
@@ -115,7 +113,7 @@ def make_plan(
     flop = flop_per_batch(config, model, height, width) * config.accumulate * num_gpus
     on_gpu = config.device != "cpu"
     return Plan(
-        stage=type(config.stage).__name__.removesuffix("StageConfig").lower(),
+        stage=config.stage.name,
         scenes=len(kept),
         held_out=min(config.holdout, len(counts)),
         too_short=len(training) - len(kept),
@@ -195,25 +193,23 @@ def _rate(config: TrainConfig, step: int) -> float:
 
 
 def _missing(config: TrainConfig, init_from: Path | None, resume: bool) -> list[str]:
-    stage, missing = config.stage, []
-    names = []
-    if isinstance(stage, AdaptStageConfig) and stage.weights and not (init_from or resume):
-        names.append(stage.weights)
-    if not isinstance(stage, GeometryStageConfig) and stage.lpips_weight > 0:
-        if stage.lpips_file is None:
-            names.append(stage.lpips_name)
-        elif not stage.lpips_file.is_file():
-            missing.append(f"no LPIPS weights at {stage.lpips_file}")
-    for name in names:
-        try:
-            weights_path(name)
-        except MissingWeightsError as error:
-            missing.append(str(error))
-    cached = isinstance(stage, TokenizerStageConfig) and stage.cache is not None
-    published = isinstance(stage, AdaptStageConfig) and stage.weights is not None
-    begins_anew = isinstance(stage, GeometryStageConfig) or published or cached
-    if not (begins_anew or init_from or resume):
-        missing.append("a trained backbone: give the run that made it with --init-from")
+    first, begun = config.stage.first_weights(), bool(init_from or resume)
+    needed = list(config.stage.other_weights())
+    if first.published and not begun:
+        needed.insert(0, NeededWeights("the first weights", first.published))
+    missing = [text for each in needed if (text := _missing_weights(each))]
+    if first.wanted and not (first.published or begun):
+        missing.append(f"{first.wanted}: give the run that made it with --init-from")
     if init_from is not None and not init_from.exists():
         missing.append(f"no run folder and no .safetensors file at {init_from}")
     return missing
+
+
+def _missing_weights(needed: NeededWeights) -> str | None:
+    if isinstance(needed.where, Path):
+        return None if needed.where.is_file() else f"no {needed.what} weights at {needed.where}"
+    try:
+        weights_path(needed.where)
+    except MissingWeightsError as error:
+        return str(error)
+    return None

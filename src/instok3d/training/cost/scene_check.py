@@ -4,9 +4,6 @@ import numpy as np
 
 from instok3d.data.scenes import SceneFrames, SceneSource
 from instok3d.training.config import TrainConfig
-from instok3d.training.stages.adapt import AdaptStageConfig
-from instok3d.training.stages.geometry import GeometryStageConfig
-from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
 LOOKED_AT = 8
 """Scenes, spread over the data set, of which two frames are read."""
@@ -16,8 +13,8 @@ def check_scenes(config: TrainConfig, source: SceneSource) -> tuple[int, int]:
     """Fail where a scene lacks what the stage needs; gives height and width of the pictures.
 
     Raises:
-        ValueError: No scene, pictures of several sizes, no instance ids for the tokenizer, or no
-            depth for the geometry stage.
+        ValueError: No scene, pictures of several sizes, or instance ids or depth are missing that
+            the stage learns from.
     """
     if len(source) == 0:
         raise ValueError("the data set has no scene of the training split")
@@ -34,15 +31,12 @@ def check_scenes(config: TrainConfig, source: SceneSource) -> tuple[int, int]:
 
 
 def _check_frames(config: TrainConfig, frames: SceneFrames) -> None:
-    stage = config.stage
-    learns_groups = isinstance(stage, TokenizerStageConfig) and stage.seg_weight > 0
-    if learns_groups and bool((frames.instances < 0).all()):
+    needs = config.stage.data_needs()
+    if needs.instances and bool((frames.instances < 0).all()):
+        otherwise = f", or {needs.without_instances}" if needs.without_instances else ""
         raise ValueError(
-            f"scene {frames.name} has no instance ids, which the grouping learns from: make masks "
-            "with `instok3d data masks` and choose them with --masks, or set --stage.seg-weight 0"
+            f"scene {frames.name} has no instance ids, which this stage learns from: make masks "
+            f"with `instok3d data masks` and choose them with --masks{otherwise}"
         )
-    aligned = isinstance(stage, AdaptStageConfig | TokenizerStageConfig) and (
-        stage.target_cameras == "aligned" and stage.scale_from == "depths"
-    )
-    if (isinstance(stage, GeometryStageConfig) or aligned) and not (frames.depths_m > 0).any():
+    if needs.depths and not (frames.depths_m > 0).any():
         raise ValueError(f"scene {frames.name} has no true depth, which this stage learns from")

@@ -8,7 +8,6 @@ the cameras' units. The Gaussians are thrown away afterwards, the backbone goes 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -25,14 +24,28 @@ from instok3d.model.pixel_gaussians import PixelGaussianConfig, PixelGaussians, 
 from instok3d.objectives.rendering import rendering_loss
 from instok3d.pictures import color_picture, contact_sheet, depth_picture, titled_rows
 from instok3d.render import render
-from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
-from instok3d.training.stages.stage import StepLoss
-from instok3d.training.stages.target_cameras import cameras_of_targets
+from instok3d.training.backbone_file import save_backbone
+from instok3d.training.cache.features import of_backbone
+from instok3d.training.first_weights import BackboneConfig, load_backbone
+from instok3d.training.perceptual import lpips_needed, lpips_network
+from instok3d.training.stages.answers import (
+    AveragedRun,
+    DataNeeds,
+    FirstWeights,
+    NeededWeights,
+    Workload,
+)
+from instok3d.training.stages.stage import StageConfig, StepLoss
+from instok3d.training.stages.target_cameras import (
+    ScaleFrom,
+    cameras_of_targets,
+    need_depths,
+)
 from instok3d.types import Rendering
 
 
 @dataclass(frozen=True)
-class AdaptStageConfig:
+class AdaptStageConfig(StageConfig):
     """What the adapt stage trains. The paper says "a few epochs" and no more (Sec. 4)."""
 
     backbone: BackboneConfig = field(default_factory=NanoConfig)
@@ -48,7 +61,7 @@ class AdaptStageConfig:
     target_cameras: TargetCameras = "true"
     """true: pointmaps must come into the unit of the true cameras, which is what the stage is for.
     aligned: cameras are brought into the predicted world instead."""
-    scale_from: Literal["baselines", "depths"] = "baselines"
+    scale_from: ScaleFrom = "baselines"
     """With aligned cameras: how they find their length in the predicted world."""
     lpips_weight: float = 0.05
     """As in the paper's render loss."""
@@ -59,6 +72,39 @@ class AdaptStageConfig:
 
     def __post_init__(self):
         object.__setattr__(self, "trained", tuple(self.trained))
+
+    def build(self) -> "AdaptStage":
+        """The stage of these settings."""
+        return AdaptStage(self)
+
+    def new_model(self) -> PixelGaussians:
+        """See `new_adapt_model`."""
+        return new_adapt_model(self)
+
+    def workload(self) -> Workload:
+        """The whole backbone counts as learning; the head works by the pixel."""
+        return Workload(backbone=self.backbone, lpips=self.lpips_weight > 0, pixel_parts=("head",))
+
+    def data_needs(self) -> DataNeeds:
+        """Depth where it fixes the length of aligned cameras."""
+        return DataNeeds(depths=need_depths(self.target_cameras, self.scale_from))
+
+    def first_weights(self) -> FirstWeights:
+        """The published ones of the settings, or the user's."""
+        return FirstWeights(self.weights, "a trained backbone")
+
+    def learns_unit(self) -> bool:
+        """Where targets are rendered at the true cameras."""
+        return self.target_cameras == "true"
+
+    def other_weights(self) -> tuple[NeededWeights, ...]:
+        """Those of LPIPS."""
+        return lpips_needed(self)
+
+    def export(self, run: AveragedRun, output: Path, *, half: bool) -> None:
+        """Write the backbone without the head, which has done its work; `--init-from` takes it."""
+        weights = of_backbone(run.weights)
+        save_backbone(self.backbone, weights, output, card=run.card, half=half)
 
 
 def new_adapt_model(config: AdaptStageConfig) -> PixelGaussians:
@@ -91,7 +137,7 @@ class AdaptStage:
 
     def __init__(self, config: AdaptStageConfig) -> None:
         self.config = config
-        self.lpips = lpips_network(config.lpips_weight, config.lpips_file, config.lpips_name)
+        self.lpips = lpips_network(config)
 
     @property
     def learns_whole(self) -> bool:

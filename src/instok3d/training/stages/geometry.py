@@ -17,12 +17,13 @@ from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.objectives.geometry import DepthLoss, depth_loss, geometry_loss
 from instok3d.pictures import color_picture, contact_sheet, depth_picture, titled_rows
-from instok3d.training.stages.stage import StepLoss
+from instok3d.training.stages.answers import DataNeeds, FirstWeights, Workload
+from instok3d.training.stages.stage import StageConfig, StepLoss
 from instok3d.types import Views
 
 
 @dataclass(frozen=True)
-class GeometryStageConfig:
+class GeometryStageConfig(StageConfig):
     """What the geometry stage trains."""
 
     backbone: NanoConfig = field(default_factory=NanoConfig)
@@ -31,13 +32,39 @@ class GeometryStageConfig:
     trained: Literal["network", "refinement"] = "network"
     """refinement: only the correction of depth by parallax, the network stays as it is."""
 
+    def __post_init__(self):
+        if self.trained == "refinement" and not self.backbone.refinement_layers:
+            raise ValueError("backbone.refinement_layers is 0: there is no refinement to train")
+
+    def build(self) -> "GeometryStage":
+        """The stage of these settings."""
+        return GeometryStage(self)
+
+    def new_model(self) -> NanoBackbone:
+        """A backbone of which the network or the refinement learns."""
+        model = NanoBackbone(self.backbone)
+        model.requires_grad_(self.trained == "network")
+        if model.refinement is not None:
+            model.refinement.requires_grad_(self.trained == "refinement")
+        return model
+
+    def workload(self) -> Workload:
+        """That of the backbone alone."""
+        return Workload(backbone=self.backbone)
+
+    def data_needs(self) -> DataNeeds:
+        """True depth."""
+        return DataNeeds(depths=True)
+
+    def first_weights(self) -> FirstWeights:
+        """Random ones for the network; the refinement corrects a trained one."""
+        return FirstWeights(wanted="a trained network" if self.trained == "refinement" else None)
+
 
 class GeometryStage:
     """Depth up to scale, matches and focal length; cameras are solved from these."""
 
     def __init__(self, config: GeometryStageConfig) -> None:
-        if config.trained == "refinement" and not config.backbone.refinement_layers:
-            raise ValueError("backbone.refinement_layers is 0: there is no refinement to train")
         self.config = config
 
     @property
@@ -47,11 +74,7 @@ class GeometryStage:
 
     def build_model(self) -> NanoBackbone:
         """A new backbone."""
-        model = NanoBackbone(self.config.backbone)
-        model.requires_grad_(self.config.trained == "network")
-        if model.refinement is not None:
-            model.refinement.requires_grad_(self.config.trained == "refinement")
-        return model
+        return self.config.new_model()
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
         """Weights of a geometry run, or the backbone's of a tokenizer run.

@@ -1,7 +1,13 @@
-"""What a training stage must offer to the loop."""
+"""What a stage of training is: its settings, which answer for it before it runs, and its loss.
 
+A new stage is one file in this folder with a subclass of `StageConfig` and a `Stage`, and a preset
+in `training.config`. Loop, checkpoints, plan, command line and export ask through these two alone.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
@@ -9,6 +15,14 @@ from PIL.Image import Image
 from torch import Tensor, nn
 
 from instok3d.data.sample import Sample
+from instok3d.training.stages.answers import (
+    AveragedRun,
+    DataNeeds,
+    FirstWeights,
+    FrozenBackbone,
+    NeededWeights,
+    Workload,
+)
 
 
 @dataclass(frozen=True)
@@ -57,3 +71,77 @@ class Stage(Protocol):
     def pictures(self, model: nn.Module, sample: Sample) -> Image:
         """A contact sheet of one batch."""
         ...
+
+
+@dataclass(frozen=True)
+class StageConfig(ABC):
+    """Settings of a stage; subclasses are frozen dataclasses named `<Name>StageConfig`.
+
+    The methods answer from the settings alone: no file is read and nothing is loaded, except by
+    `build` and `export`.
+    """
+
+    @property
+    def name(self) -> str:
+        """What the stage is called: the class without StageConfig, in lower case."""
+        return type(self).__name__.removesuffix("StageConfig").lower()
+
+    @abstractmethod
+    def build(self) -> Stage:
+        """The stage itself.
+
+        Raises:
+            MissingWeightsError: Of `other_weights` some are not on this machine.
+            ValueError: Settings contradict each other.
+        """
+
+    @abstractmethod
+    def new_model(self) -> nn.Module:
+        """A model of these sizes with random weights.
+
+        Parameters that are not to be trained do not require gradients.
+        """
+
+    @abstractmethod
+    def workload(self) -> Workload:
+        """What a training step computes, for the estimate of time and memory."""
+
+    def data_needs(self) -> DataNeeds:
+        """What every scene must have beside photos and cameras."""
+        return DataNeeds()
+
+    def first_weights(self) -> FirstWeights:
+        """Where a new run begins; by default with random weights."""
+        return FirstWeights()
+
+    def other_weights(self) -> tuple[NeededWeights, ...]:
+        """Weights made elsewhere that the stage needs beside those that it begins with."""
+        return ()
+
+    def learns_unit(self) -> bool:
+        """Whether the model learns to answer in the unit of the data set's cameras."""
+        return False
+
+    def frozen_backbone(self) -> FrozenBackbone | None:
+        """The backbone that the stage runs and does not train; its answers can be cached."""
+        return None
+
+    def cache_folder(self) -> Path | None:
+        """Folder of cached features that the stage reads in place of running its backbone."""
+        return None
+
+    def export(self, run: AveragedRun, output: Path, *, half: bool) -> None:
+        """Write what the stage is trained for as one file.
+
+        Args:
+            run: A run of this stage.
+            output: The .safetensors file; its folder exists.
+            half: Store float16.
+
+        Raises:
+            ValueError: There is nothing to export of this stage, or weights are not finite.
+        """
+        raise ValueError(
+            f"{run.folder} is a {self.name} run, which is given on by its folder (--init-from); "
+            "export a tokenizer run or an adapt run"
+        )

@@ -20,11 +20,22 @@ SHORTEST_BASELINE = 0.02
 """Scene units, true or predicted: context cameras closer together say nothing of the scale."""
 
 
+ScaleFrom = Literal["baselines", "depths"]
+"""How aligned target cameras find their length in the predicted world: from the distances of the
+context cameras, as in the evaluation (depths where these stand together), or always from the true
+depths."""
+
+
+def need_depths(kind: TargetCameras, scale_from: ScaleFrom) -> bool:
+    """Whether the true depths of the contexts have to be known."""
+    return kind == "aligned" and scale_from == "depths"
+
+
 def cameras_of_targets(
     kind: TargetCameras,
     geometry: Geometry,
     sample: Sample,
-    scale_from: Literal["baselines", "depths"],
+    scale_from: ScaleFrom,
 ) -> Cameras:
     """The cameras of the target views in the world of the first context view.
 
@@ -32,7 +43,7 @@ def cameras_of_targets(
         kind: Which cameras.
         geometry: Predicted from the context views.
         sample: With true cameras; aligned cameras also need true depths of the contexts.
-        scale_from: See `target_cameras_in_prediction`; of no use to true cameras.
+        scale_from: Of no use to true cameras.
     """
     if kind == "true":
         return _cameras(sample.target)
@@ -41,7 +52,7 @@ def cameras_of_targets(
 
 @torch.no_grad()
 def target_cameras_in_prediction(
-    geometry: Geometry, context: Views, target: Views, scale_from: Literal["baselines", "depths"]
+    geometry: Geometry, context: Views, target: Views, scale_from: ScaleFrom
 ) -> Cameras:
     """The target cameras of each scene, in its predicted world and with its focal lengths.
 
@@ -49,8 +60,7 @@ def target_cameras_in_prediction(
         geometry: Predicted from the context views.
         context: Those views with true cameras and depths.
         target: Views with true cameras in the same world.
-        scale_from: What fixes the length of a predicted unit: baselines as in the evaluation
-            (depths where the cameras stand together), or always the true depths.
+        scale_from: What fixes the length of a predicted unit.
     """
     true_context, true_target = _cameras(context), _cameras(target)
     assert context.depths is not None

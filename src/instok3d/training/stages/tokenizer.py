@@ -25,6 +25,7 @@ from instok3d.evaluation.instance_ap import (
 from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.model.anchors import gather_rows
 from instok3d.model.context import to_patches
+from instok3d.model.files import save_model
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.objectives.assignment import AssignmentLoss, assignment_loss
 from instok3d.objectives.matching import Pairs
@@ -32,17 +33,30 @@ from instok3d.objectives.rendering import rendering_loss
 from instok3d.objectives.segmentation import SegmentationLoss, segmentation_loss
 from instok3d.pictures import color_picture, contact_sheet, id_picture, titled_rows
 from instok3d.render import render
-from instok3d.training.cache.features import FeatureCache, of_backbone
-from instok3d.training.first_weights import BackboneConfig, load_backbone, lpips_network
+from instok3d.training.cache.features import FeatureCache, of_backbone, with_backbone
+from instok3d.training.first_weights import BackboneConfig, load_backbone
+from instok3d.training.perceptual import lpips_needed, lpips_network
 from instok3d.training.schedule import warmed_up
-from instok3d.training.stages.stage import StepLoss
-from instok3d.training.stages.target_cameras import cameras_of_targets
+from instok3d.training.stages.answers import (
+    AveragedRun,
+    DataNeeds,
+    FirstWeights,
+    FrozenBackbone,
+    NeededWeights,
+    Workload,
+)
+from instok3d.training.stages.stage import StageConfig, StepLoss
+from instok3d.training.stages.target_cameras import (
+    ScaleFrom,
+    cameras_of_targets,
+    need_depths,
+)
 from instok3d.training.stages.window_samples import window_samples
 from instok3d.types import Geometry, Rendering, TokenGroups
 
 
 @dataclass(frozen=True)
-class TokenizerStageConfig:
+class TokenizerStageConfig(StageConfig):
     """What the tokenizer stage trains."""
 
     backbone: BackboneConfig = field(default_factory=NanoConfig)
@@ -57,7 +71,7 @@ class TokenizerStageConfig:
     always knows them; with 1 validation does too."""
     target_cameras: TargetCameras = "aligned"
     """Where targets are rendered when cameras are not given; the paper takes the true ones."""
-    scale_from: Literal["baselines", "depths"] = "baselines"
+    scale_from: ScaleFrom = "baselines"
     """How aligned target cameras find their length in the predicted world."""
     seg_weight: float = 0.1
     """lambda_seg, the weight of the grouping loss (Eq. 6)."""
@@ -92,6 +106,69 @@ class TokenizerStageConfig:
         if self.cache and not self.freeze_backbone:
             raise ValueError("a backbone that learns cannot be cached: leave cache out")
 
+    def build(self) -> "TokenizerStage":
+        """The stage of these settings."""
+        return TokenizerStage(self)
+
+    def new_model(self) -> Tokenizer:
+        """See `new_tokenizer`."""
+        return new_tokenizer(self)
+
+    def workload(self) -> Workload:
+        """Backbone and tokenizer."""
+        return Workload(
+            backbone=self.backbone,
+            backbone_runs=self.cache is None,
+            backbone_learns=not self.freeze_backbone,
+            tokenizer=self.tokenizer,
+            lpips=self.lpips_weight > 0,
+        )
+
+    def data_needs(self) -> DataNeeds:
+        """Ids for the grouping loss; depth where it fixes the length of aligned cameras."""
+        return DataNeeds(
+            depths=need_depths(self.target_cameras, self.scale_from),
+            instances=self.seg_weight > 0,
+            without_instances="set --stage.seg-weight 0",
+        )
+
+    def first_weights(self) -> FirstWeights:
+        """A backbone from the user; none with cached features."""
+        return FirstWeights(wanted=None if self.cache else "a trained backbone")
+
+    def learns_unit(self) -> bool:
+        """Where targets are rendered at the true cameras."""
+        return self.target_cameras == "true"
+
+    def other_weights(self) -> tuple[NeededWeights, ...]:
+        """Those of LPIPS."""
+        return lpips_needed(self)
+
+    def frozen_backbone(self) -> FrozenBackbone | None:
+        """The backbone as the steps ask it; None where it learns."""
+        if not self.freeze_backbone:
+            return None
+        told = max(self.given_probability, self.intrinsics_probability) > 0
+        bare = self.given_probability < 1 and self.intrinsics_probability < 1
+        return FrozenBackbone(
+            config=self.backbone,
+            inputs=(("photos",) if bare else ()) + (("intrinsics",) if told else ()),
+            given=self.given_probability > 0,
+        )
+
+    def cache_folder(self) -> Path | None:
+        """The folder of the settings."""
+        return self.cache
+
+    def export(self, run: AveragedRun, output: Path, *, half: bool) -> None:
+        """Write the whole model, a cached backbone too, for `reconstruct --model`."""
+        weights = run.weights
+        if self.cache:
+            weights = with_backbone(FeatureCache(self.cache), weights)
+        model = self.new_model()
+        model.load_state_dict(weights)
+        save_model(model, output, card=run.card, half=half)
+
 
 def new_tokenizer(
     config: TokenizerStageConfig, backbone: GeometryBackbone | None = None
@@ -107,7 +184,7 @@ class TokenizerStage:
 
     def __init__(self, config: TokenizerStageConfig) -> None:
         self.config = config
-        self.lpips = lpips_network(config.lpips_weight, config.lpips_file, config.lpips_name)
+        self.lpips = lpips_network(config)
         self.cache = FeatureCache(config.cache) if config.cache else None
 
     @property
