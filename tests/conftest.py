@@ -33,3 +33,14 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"real test data is not here: no folder {SHARED.name}/ beside the project")
     return SHARED
+
+
+@pytest.fixture
+def plane(monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of the backbone of tests/plane_backbone.py, which is registered for one test."""
+    from instok3d.backbones import register_backbone, registry
+    from plane_backbone import PLANE
+
+    monkeypatch.setattr(registry, "_REGISTERED", {})
+    register_backbone("plane", PLANE)
+    return "plane"

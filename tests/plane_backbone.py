@@ -5,13 +5,19 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.backbones import (
+    BackboneConfig,
+    BackboneKind,
+    GeometryBackbone,
+    Prediction,
+    settle_geometry,
+)
 from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.types import Geometry, Views
 
 
 @dataclass(frozen=True)
-class PlaneConfig:
+class PlaneConfig(BackboneConfig):
     patch_size: int = 8
     channels: int = 16
 
@@ -44,3 +50,7 @@ class PlaneBackbone(GeometryBackbone):
             intrinsics=intrinsics_from_field_of_view(angle, height, width),
         )
         return settle_geometry(views, prediction)
+
+
+PLANE = BackboneKind(PlaneBackbone, PlaneConfig)
+"""All that a backbone must say of itself; its memory is not known."""

@@ -2,10 +2,11 @@ from pathlib import Path
 
 import pytest
 
+from instok3d.backbones.cost import Work
 from instok3d.cli import main
 from instok3d.model import memory
 from instok3d.model.files import read_sizes
-from instok3d.model.memory import Work, predict_peak_bytes
+from instok3d.model.memory import predict_peak_bytes
 from made_model import made_model, made_photos
 
 

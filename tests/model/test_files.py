@@ -6,25 +6,24 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from instok3d.backbones.nano.backbone import NanoConfig
-from instok3d.backbones.registry import BACKBONES, BackboneKind
+from instok3d.backbones.registry import OWN
 from instok3d.model import files
 from instok3d.model.files import (
     MissingWeightsError,
     load_model,
     read_card,
+    read_sizes,
     save_model,
 )
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.types import Views
+from made_model import made_model
 from plane_backbone import PlaneBackbone, PlaneConfig
 
 
 @pytest.fixture
-def model(monkeypatch) -> Tokenizer:
-    kind = BackboneKind(PlaneBackbone, PlaneConfig)
-    monkeypatch.setitem(BACKBONES, "plane", lambda: kind)
+def model(plane) -> Tokenizer:
     torch.manual_seed(0)
     head = GaussianHeadConfig(gaussians_per_anchor=4, sh_degree=2)
     config = TokenizerConfig(
@@ -92,9 +91,7 @@ def test_unknown_backbones_and_sizes_are_named(model, tmp_path):
     path = tmp_path / "model.safetensors"
     save_model(model, path, card={})
     rewritten(path, backbone="giant")
-    with pytest.raises(
-        ValueError, match=r"needs the backbone 'giant'; this version has \[.*'plane'"
-    ):
+    with pytest.raises(ValueError, match=r"needs the backbone 'giant'; there are .*plane, vggt"):
         load_model(path)
     rewritten(path, backbone="plane", backbone_config=json.dumps({"patch_size": 8, "wings": 2}))
     with pytest.raises(ValueError, match="does not know: wings of PlaneConfig"):
@@ -135,6 +132,19 @@ def test_a_file_from_before_a_size_was_there_means_what_it_was_made_with(model, 
 
 
 def test_what_older_files_mean_is_said_of_sizes_that_there_are():
-    kinds = {kind.__name__: kind for kind in (TokenizerConfig, GaussianHeadConfig, NanoConfig)}
+    kinds = {kind.__name__: kind for kind in (TokenizerConfig, GaussianHeadConfig)}
     for name, sizes in files.ADDED_LATER.items():
         assert set(sizes) <= {field.name for field in fields(kinds[name])}
+    for load in OWN.values():
+        kind = load()
+        assert set(kind.added_later) <= {field.name for field in fields(kind.config)}
+
+
+def test_a_file_from_before_the_nano_backbone_refined_depth_has_none_of_it(tmp_path):
+    path = made_model(tmp_path / "model.safetensors")
+    with safe_open(path, framework="pt") as stream:
+        sizes = json.loads(stream.metadata()["backbone_config"])
+    del sizes["refinement_layers"]
+    rewritten(path, backbone_config=json.dumps(sizes))
+    backbone, _ = read_sizes(path)
+    assert backbone.refinement_layers == 0

@@ -4,20 +4,21 @@ from pathlib import Path
 import pytest
 import torch
 
+from instok3d.backbones import registry
+from instok3d.backbones.cost import Activations, Outline, Work
 from instok3d.backbones.depth_anything3 import DepthAnything3Config
 from instok3d.backbones.nano.backbone import NanoConfig
-from instok3d.backbones.registry import BACKBONES, build_backbone
+from instok3d.backbones.registry import build_backbone
 from instok3d.errors import NotEnoughMemoryError
 from instok3d.model import available_memory, memory
 from instok3d.model.memory import (
-    Work,
     check_memory,
     count_parameters,
     largest_view_count,
     predict_peak_bytes,
 )
 from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
-from plane_backbone import PlaneConfig
+from plane_backbone import PLANE, PlaneConfig
 
 NANO = (NanoConfig(refinement_layers=0), TokenizerConfig())
 """What the sizes of training below were measured with."""
@@ -88,7 +89,6 @@ def test_more_of_anything_never_takes_less():
     assert bytes_for(training=True, lpips=True) > frozen
 
 
-@pytest.mark.skipif("vggt" not in BACKBONES, reason="VGGT is no backbone of this version")
 def test_paper_sizes_take_gigabytes():
     from instok3d.backbones.vggt import PAPER_VGGT
 
@@ -144,9 +144,35 @@ def test_what_the_process_has_already_is_not_asked_for_again(monkeypatch: pytest
     check_memory(*NANO, EIGHT)
 
 
-def test_unknown_backbones_are_named():
-    with pytest.raises(ValueError, match="PlaneConfig backbone cannot be predicted"):
-        memory.backbone_activations(PlaneConfig(channels=8), EIGHT)
+def test_a_backbone_whose_memory_nobody_counted_is_counted_without_it_and_said(plane, monkeypatch):
+    config, work = PlaneConfig(channels=8), Work(2, 64, 64)
+    with pytest.warns(UserWarning, match="memory a PlaneBackbone takes .* is not known"):
+        activations = memory.backbone_activations(config, work)
+    # 2 x 8 x 8 patches of 8 channels; 12 numbers a pixel of depths, confidences and points.
+    assert activations.result == 4 * (2 * 64 * 8 + 12 * 2 * 64 * 64)
+    assert activations.peak == activations.stored == 0
+    with_free(monkeypatch, 10**12)
+    with pytest.warns(UserWarning, match="is not known"):
+        assert check_memory(config, NANO[1], work) > memory.PROCESS_BYTES
+    with_free(monkeypatch, 1000)
+    with (
+        pytest.warns(UserWarning, match="is not known"),
+        pytest.raises(NotEnoughMemoryError, match="not even one view"),
+    ):
+        check_memory(config, NANO[1], work)
+
+
+def test_a_backbone_says_its_own_memory(monkeypatch):
+    config, work = PlaneConfig(channels=8), Work(2, 64, 64)
+    kind = replace(
+        PLANE,
+        activations=lambda config, work: Activations(10**9, 0, config.channels),
+        outline=lambda config: Outline(5_000, config.patch_size, config.channels),
+    )
+    monkeypatch.setattr(registry, "_REGISTERED", {})
+    registry.register_backbone("counted", kind)
+    assert memory.backbone_activations(config, work) == Activations(10**9, 0, 8)
+    assert memory._outline.__wrapped__(config).numbers == 5_000
 
 
 def test_bf16_keeps_narrow_copies_of_the_weights():

@@ -17,6 +17,20 @@ from instok3d.geometry.cameras import (
 from instok3d.types import Cameras, Geometry, Views
 
 
+@dataclass(frozen=True)
+class BackboneConfig:
+    """Base of the frozen dataclasses that hold the sizes of a backbone.
+
+    Their fields are what JSON can hold (numbers, texts, tuples of these): files of models and runs
+    keep them.
+    """
+
+    @property
+    def image_side(self) -> int:
+        """Side of the pictures that it is made for, pixels."""
+        return 128
+
+
 class GeometryBackbone(nn.Module, ABC):
     """Photos in; features, depths, pointmaps, confidences and cameras out.
 
@@ -42,8 +56,8 @@ class GeometryBackbone(nn.Module, ABC):
 
     Height and width are multiples of patch_size; the tokenizer checks that. Geometry maths
     (unprojection, solving for cameras) belongs in float32, outside autocast. To be saved with the
-    model, the backbone carries its frozen config dataclass as `self.config` and has an entry in
-    `backbones.registry.BACKBONES`.
+    model, the backbone carries its frozen config dataclass as `self.config` and is registered
+    (`backbones.registry.register_backbone`).
     """
 
     patch_size: int

@@ -11,7 +11,21 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.backbones.base import (
+    BackboneConfig,
+    GeometryBackbone,
+    Prediction,
+    settle_geometry,
+)
+from instok3d.backbones.cost import (
+    CONVOLUTIONS_BYTES,
+    FLOAT,
+    Activations,
+    Outline,
+    Work,
+    geometry_bytes,
+)
+from instok3d.backbones.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.geometry.cameras import rigid
 from instok3d.types import Geometry, Views
 
@@ -43,10 +57,12 @@ SIZES = {
     "tiny": _Sizes(64, 2, 4, (0, 1, 2, 3), 2, 16, (8, 8, 16, 16)),
 }
 """The two whose weights are Apache-2.0, and one for tests, of which there are no weights."""
+NUMBERS = {"tiny": 684_991, "small": 34_299_463, "base": 135_366_599}
+"""Parameters of each."""
 
 
 @dataclass(frozen=True)
-class DepthAnything3Config:
+class DepthAnything3Config(BackboneConfig):
     """Which Depth Anything 3 it is."""
 
     size: Literal["small", "base", "tiny"] = "small"
@@ -139,6 +155,42 @@ def is_published(state: Mapping[str, Tensor]) -> bool:
 def from_published(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The state dict of the package's network from published weights."""
     return {name.removeprefix(PUBLISHED): value for name, value in state.items()}
+
+
+def fill_from_published(backbone: DepthAnything3Backbone, weights: Mapping[str, Tensor]) -> bool:
+    """Put published weights into a backbone; False if these are none.
+
+    Raises:
+        RuntimeError: They are of another size.
+    """
+    if not is_published(weights):
+        return False
+    backbone.net.load_state_dict(from_published(weights))
+    return True
+
+
+def depth_anything3_outline(config: DepthAnything3Config) -> Outline:
+    """Its sizes without building it, which the package cannot do without memory."""
+    return Outline(NUMBERS[config.size], PATCH, SIZES[config.size].width)
+
+
+def depth_anything3_activations(config: DepthAnything3Config, work: Work) -> Activations:
+    """As VGGT, with two maps out of its one dense head: depth and rays."""
+    sizes = SIZES[config.size]
+    tokens = work.batch * work.views * ((work.height // PATCH) * (work.width // PATCH) + 1)
+    values = FLOAT * tokens * sizes.width
+    kept = 2 * len(sizes.outputs) * values
+    at_once = min(work.batch * work.views, IMAGES_AT_ONCE) * work.height * work.width
+    every_image = work.pixels * FLOAT * (12 * sizes.dense_width // 2 + 256)
+    block = (20 * FLOAT + 14 * work.narrow) * tokens * sizes.width
+    return Activations(
+        peak=26 * values
+        + kept
+        + CONVOLUTIONS_BYTES
+        + at_once * FLOAT * (2 * sizes.dense_width + 32),
+        stored=sizes.layers * block + kept + every_image,
+        result=values + geometry_bytes(work),
+    )
 
 
 class _Encoder(nn.Module):

@@ -72,11 +72,11 @@ def _python() -> list[Finding]:
 def _memory() -> Finding:
     import torch
 
-    from instok3d.backbones.registry import BACKBONES
+    from instok3d.backbones.cost import Work
     from instok3d.backbones.vggt import PAPER_VGGT
     from instok3d.model.available_memory import available_bytes, resident_bytes
     from instok3d.model.files import DEFAULT_MODEL, read_sizes
-    from instok3d.model.memory import Work, largest_view_count
+    from instok3d.model.memory import largest_view_count
     from instok3d.model.tokenizer import PAPER
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -89,10 +89,9 @@ def _memory() -> Finding:
         own = largest_view_count(*read_sizes(), Work(1, 128, 128), limit)
         room.append(f"{_count(own)} views of 128 x 128 with the default model")
         good = own >= DEFAULT_VIEWS
-    if "vggt" in BACKBONES:
-        paper = largest_view_count(PAPER_VGGT, PAPER, Work(1, 256, 256), limit)
-        room.append(f"{_count(paper)} of 256 x 256 with VGGT-1B and the paper's sizes")
-    state = f"{free / 1e9:.1f} GB free on {device}, room for {' or '.join(room) or 'what it takes'}"
+    paper = largest_view_count(PAPER_VGGT, PAPER, Work(1, 256, 256), limit)
+    room.append(f"{_count(paper)} of 256 x 256 with VGGT-1B and the paper's sizes")
+    state = f"{free / 1e9:.1f} GB free on {device}, room for {' or '.join(room)}"
     return Finding("memory", state, good)
 
 

@@ -148,8 +148,9 @@ def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[
     """The same scenes, the first of which was looked at: would the model fit in memory?"""
     from itertools import chain, islice
 
+    from instok3d.backbones.cost import Work
     from instok3d.model.files import read_sizes
-    from instok3d.model.memory import Work, check_memory
+    from instok3d.model.memory import check_memory
 
     scenes = iter(asked)
     first = list(islice(scenes, 1))

@@ -10,13 +10,14 @@ import torch
 from tqdm import tqdm
 from tyro.conf import AvoidSubcommands, arg
 
+from instok3d.backbones.cost import Work
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.opening import open_training_scenes
-from instok3d.model.memory import Work, check_memory
+from instok3d.model.memory import check_memory
 from instok3d.training.cache.settings import cached_backbone
 from instok3d.training.cache.writing import FeatureType, fill_cache
 from instok3d.training.checkpoint import read_weights
-from instok3d.training.config import TrainConfig, overlay, preset
+from instok3d.training.config import TrainConfig, on_backbone, overlay, preset
 from instok3d.training.cost.estimate import samples_per_batch
 from instok3d.training.distributed import check_device
 from instok3d.training.stages.answers import FrozenBackbone
@@ -37,6 +38,8 @@ class CacheArguments:
     preset: str = "nano-tokenizer"
     """The preset of the run that is to read the cache. Settings given beside it change it, except
     that one which is nano-tokenizer's own cannot be told from one not given."""
+    backbone: str | None = None
+    """As for a run: name of another backbone than the preset's."""
     feature_type: FeatureType = "float16"
     """bfloat16 for a backbone whose features float16 cannot hold."""
 
@@ -51,6 +54,8 @@ def cache(
     neither runs nor loads the backbone. Stop it at any time and give the same command again.
     """
     config = overlay(preset(arguments.preset), BASE, config)
+    if arguments.backbone is not None:
+        config = on_backbone(config, arguments.backbone)
     frozen = cached_backbone(config)
     check_device(config.device)
     source = open_training_scenes(arguments.data, masks=config.masks)

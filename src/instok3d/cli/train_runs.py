@@ -13,7 +13,7 @@ from instok3d.data.scenes import SceneSource
 from instok3d.datasets.opening import open_training_scenes
 from instok3d.training.cache.features import FeatureCache
 from instok3d.training.cache.settings import check_cache
-from instok3d.training.config import TrainConfig, overlay, preset, read_config
+from instok3d.training.config import TrainConfig, on_backbone, overlay, preset, read_config
 from instok3d.training.cost.estimate import check_memory
 from instok3d.training.cost.plan import make_plan, plan_text
 from instok3d.training.cost.scene_check import check_scenes
@@ -40,6 +40,9 @@ class RunArguments:
     """Run folder or .safetensors file to take first weights from. A tokenizer needs one: the
     run that trained its backbone, or a tokenizer run; or else --stage.cache. An adapt run of VGGT
     begins with the published weights without it."""
+    backbone: str | None = None
+    """Name of another backbone than the preset's, with its default sizes, such as one that an
+    installed package brings (docs/backbones.md)."""
     time_limit_min: float | None = None
     """Save and stop after so many minutes; go on later with --resume."""
     dry_run: bool = False
@@ -62,6 +65,8 @@ def preset_command(name: str) -> Callable[..., None]:
     ) -> None:
         if arguments.output is None and not arguments.dry_run:
             raise ValueError("a run needs a folder: give -o RUN, or --dry-run to see the plan")
+        if arguments.backbone is not None:
+            config = on_backbone(config, arguments.backbone)
         if arguments.resume and arguments.output is not None:
             begun = read_config(arguments.output)
             if type(begun.stage) is not type(default.stage):

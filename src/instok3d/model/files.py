@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from instok3d.backbones.registry import BACKBONES, build_backbone, name_of
+from instok3d.backbones.registry import backbone_names, build_backbone, kind_named, name_of
 from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
@@ -19,7 +19,6 @@ FORMAT = "instok3d-model-1"
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
 
 ADDED_LATER: dict[str, dict[str, Any]] = {
-    "NanoConfig": {"refinement_layers": 0},
     "TokenizerConfig": {
         "normalize_scale": True,
         "pad_duplicates": False,
@@ -35,7 +34,7 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
     """Write a model as one safetensors file, atomically; the folder must be there.
 
     Args:
-        model: Its backbone must be in `registry.BACKBONES` and have its sizes in `.config`.
+        model: Its backbone must be registered and have its sizes in `.config`.
         path: Name of the file.
         card: What to say of the model (how and on what it was trained, floors, licence): JSON.
         half: Store float16, half the size; values change by up to 1/2048 of themselves.
@@ -154,11 +153,14 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
 
 def _sizes(metadata: Mapping[str, str], path: Path) -> tuple[Any, TokenizerConfig]:
     kind = metadata["backbone"]
-    if kind not in BACKBONES:
+    if kind not in (names := backbone_names()):
         raise ValueError(
-            f"{path} needs the backbone {kind!r}; this version has {sorted(BACKBONES)}"
+            f"{path} needs the backbone {kind!r}; there are {', '.join(names)}: install "
+            "the package that brings it (docs/backbones.md)"
         )
-    backbone = _config(BACKBONES[kind]().config, json.loads(metadata["backbone_config"]), path)
+    registered = kind_named(kind)
+    values = {**registered.added_later, **json.loads(metadata["backbone_config"])}
+    backbone = _config(registered.config, values, path)
     return backbone, _config(TokenizerConfig, json.loads(metadata["tokenizer_config"]), path)
 
 

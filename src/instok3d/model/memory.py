@@ -4,22 +4,16 @@ The figures count the tensors that are alive at the worst moment of each part an
 against measured peaks (docs/models.md): never below, at most a quarter above.
 """
 
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
 
 import torch
 
-from instok3d.backbones.base import GeometryBackbone
-from instok3d.backbones.depth_anything3 import PATCH as DA3_PATCH
-from instok3d.backbones.depth_anything3 import SIZES as DA3_SIZES
-from instok3d.backbones.depth_anything3 import DepthAnything3Config
-from instok3d.backbones.nano.backbone import NanoConfig
-from instok3d.backbones.nano.matching import MATCH_STRIDE
-from instok3d.backbones.registry import build_backbone
-from instok3d.backbones.vggt.config import VGGTConfig
-from instok3d.backbones.vggt.dense_head import IMAGES_AT_ONCE
+from instok3d.backbones.base import BackboneConfig, GeometryBackbone
+from instok3d.backbones.cost import FLOAT, Activations, Outline, Work, geometry_bytes
+from instok3d.backbones.registry import build_backbone, kind_of
 from instok3d.errors import NotEnoughMemoryError
 from instok3d.model.available_memory import available_bytes, resident_bytes
 from instok3d.model.on_paper import on_paper
@@ -31,67 +25,17 @@ PROCESS_BYTES = 300_000_000
 """Python, torch and the other libraries of a command, with what they allocate once (CPU only)."""
 LEARNING_BYTES = 100_000_000
 """What training allocates once, beyond the tensors that are counted."""
-CONVOLUTIONS_BYTES = 60_000_000
-"""What the library of convolutions keeps for those of the dense heads."""
 SCENE_BYTES = 500
 """A pixel of a photo: id maps, previews and the heap's gaps behind a tokenizer."""
 LOADING = 2.1
 """While weights are loaded they are there twice: in the model and as they were read."""
-DEPTH_ANYTHING_3 = {"tiny": 684_991, "small": 34_299_463, "base": 135_366_599}
-"""Numbers in its networks."""
 MOST_VIEWS = 512
 """Larger counts are not looked for."""
-FLOAT = 4
 
 
-@dataclass(frozen=True)
-class Work:
-    """What a model is to do at once."""
-
-    views: int
-    """Of each scene."""
-    height: int
-    """Of a view, pixels."""
-    width: int
-    dtype: torch.dtype = torch.float32
-    """Of autocast; weights stay in float32."""
-    batch: int = 1
-    """Scenes at once."""
-    training: bool = False
-    """Whether values are kept for the gradient, and gradients and moments for the optimizer."""
-    frozen_backbone: bool = True
-    """Training: whether the backbone learns nothing."""
-    targets: int = 1
-    """Training: views of each scene that are rendered."""
-    lpips: bool = False
-    """Training: whether renders are also compared by LPIPS, with VGG16."""
-    cached_geometry: bool = False
-    """Training: whether the backbone's answers are read from a disk, and it is not loaded."""
-
-    @property
-    def pixels(self) -> int:
-        """Of all views of all scenes."""
-        return self.batch * self.views * self.height * self.width
-
-    @property
-    def narrow(self) -> int:
-        """Bytes of a number that a linear layer puts out."""
-        return self.dtype.itemsize
-
-
-@dataclass(frozen=True)
-class Activations:
-    """Bytes of values on their way through one part of a model."""
-
-    peak: int
-    """At the worst moment, when nothing is kept for a gradient."""
-    stored: int
-    """Kept for the gradient."""
-    result: int
-    """What the part hands on."""
-
-
-def predict_peak_bytes(backbone: Any, tokenizer: TokenizerConfig | None, work: Work) -> int:
+def predict_peak_bytes(
+    backbone: BackboneConfig, tokenizer: TokenizerConfig | None, work: Work
+) -> int:
     """Most memory that a command holds at once when it does this with models of these sizes.
 
     For the CPU, with what Python and the libraries take; nothing is loaded or computed.
@@ -102,7 +46,7 @@ def predict_peak_bytes(backbone: Any, tokenizer: TokenizerConfig | None, work: W
         work: How many views of which size, in which type, and whether it is to learn.
 
     Raises:
-        ValueError: The backbone is of no kind that is known here.
+        ValueError: The backbone is of no registered kind.
     """
     whole, own = count_parameters(backbone, tokenizer)
     parts = [backbone_activations(backbone, work)]
@@ -126,7 +70,7 @@ def predict_peak_bytes(backbone: Any, tokenizer: TokenizerConfig | None, work: W
 
 
 def largest_view_count(
-    backbone: Any, tokenizer: TokenizerConfig | None, work: Work, limit_bytes: int
+    backbone: BackboneConfig, tokenizer: TokenizerConfig | None, work: Work, limit_bytes: int
 ) -> int:
     """Most views of a scene with which this work is predicted to fit; 0 if not even one does."""
 
@@ -145,7 +89,7 @@ def largest_view_count(
 
 
 def check_memory(
-    backbone: Any,
+    backbone: BackboneConfig,
     tokenizer: TokenizerConfig | None,
     work: Work,
     *,
@@ -208,134 +152,69 @@ def refuse_beyond(
 
 
 @lru_cache
-def count_parameters(backbone: Any, tokenizer: TokenizerConfig | None) -> tuple[int, int]:
+def count_parameters(
+    backbone: BackboneConfig, tokenizer: TokenizerConfig | None
+) -> tuple[int, int]:
     """Numbers in the whole model and in all but its backbone; no memory is taken for them."""
-    network = _on_paper(backbone)
+    network = _outline(backbone)
     if tokenizer is None:
         return network.numbers, 0
     with on_paper():
-        behind = Tokenizer(_Outline(network), tokenizer)
+        behind = Tokenizer(_Stand(network), tokenizer)
     own = sum(parameter.numel() for parameter in behind.parameters())
     return network.numbers + own, own
 
 
-class _Paper(NamedTuple):
-    """What is asked of a backbone."""
-
-    numbers: int
-    """Parameters."""
-    patch_size: int
-    feature_channels: int
-
-
-class _Outline(GeometryBackbone):
+class _Stand(GeometryBackbone):
     """Stands in for a backbone where a tokenizer is counted."""
 
-    def __init__(self, paper: _Paper) -> None:
+    def __init__(self, outline: Outline) -> None:
         super().__init__()
-        self.patch_size, self.feature_channels = paper.patch_size, paper.feature_channels
+        self.patch_size, self.feature_channels = outline.patch_size, outline.feature_channels
 
     def forward(self, views: Views) -> Geometry:
-        raise NotImplementedError("an outline of a backbone cannot be run")
+        raise NotImplementedError("what stands in for a backbone cannot be run")
 
 
 @lru_cache
-def _on_paper(backbone: Any) -> _Paper:
-    if isinstance(backbone, DepthAnything3Config):
-        # Its package cannot be built without weights.
-        numbers = DEPTH_ANYTHING_3[backbone.size]
-        return _Paper(numbers, DA3_PATCH, DA3_SIZES[backbone.size].width)
+def _outline(backbone: BackboneConfig) -> Outline:
+    kind = kind_of(backbone)
+    if kind.outline is not None:
+        return kind.outline(backbone)
     with on_paper():
         network = build_backbone(backbone)
     numbers = sum(parameter.numel() for parameter in network.parameters())
-    return _Paper(numbers, network.patch_size, network.feature_channels)
+    return Outline(numbers, network.patch_size, network.feature_channels)
 
 
-def backbone_activations(config: Any, work: Work) -> Activations:
-    """What a backbone holds while it runs.
+def backbone_activations(config: BackboneConfig, work: Work) -> Activations:
+    """What a backbone holds while it runs; of one that does not say, its result alone.
 
-    Raises:
-        ValueError: The backbone is of no kind that is known here.
+    That is said in a warning: the work may then need more than is predicted.
     """
-    for kind, count in _BACKBONES.items():
-        if isinstance(config, kind):
-            return count(config, work)
-    raise ValueError(
-        f"the memory of a {type(config).__name__} backbone cannot be predicted: "
-        f"model.memory knows {', '.join(kind.__name__ for kind in _BACKBONES)}"
+    kind = kind_of(config)
+    if kind.activations is not None:
+        return kind.activations(config, work)
+    warnings.warn(
+        f"how much memory a {kind.backbone.__name__} takes while it runs is not known (its kind is "
+        "registered without activations): what is predicted leaves that out",
+        stacklevel=2,
     )
+    outline = _outline(config)
+    features = FLOAT * work.pixels // outline.patch_size**2 * outline.feature_channels
+    return Activations(peak=0, stored=0, result=features + geometry_bytes(work))
 
 
-def _nano(config: NanoConfig, work: Work) -> Activations:
-    """Stem and depth head by the pixel, blocks by the token, matching by pairs of cells."""
-    tokens = work.pixels // 64
-    values = FLOAT * tokens * config.width
-    cells = (work.height // MATCH_STRIDE) * (work.width // MATCH_STRIDE)
-    matching = 3 * FLOAT * work.batch * cells**2 if work.views > 1 else 0
-    result = 2 * values + _geometry(work) + FLOAT * work.pixels // MATCH_STRIDE**2 * 64
-    block = (18 * FLOAT + 16 * work.narrow) * tokens * config.width
-    return Activations(
-        peak=480 * work.pixels + max(14 * values, matching),
-        stored=1_000 * work.pixels + 2 * config.layers * block,
-        result=result,
-    )
-
-
-def _vggt(config: VGGTConfig, work: Work) -> Activations:
-    """Trunk by the token; dense heads by the pixel of the images that they decode at once."""
-    patches = (work.height // config.patch_size) * (work.width // config.patch_size)
-    special = 1 + config.num_register_tokens + config.intrinsics_token
-    tokens = work.batch * work.views * (patches + special)
-    values = FLOAT * tokens * config.embed_dim
-    kept = 2 * len({*config.dpt_layers, config.depth - 1}) * values
-    at_once = min(work.batch * work.views, IMAGES_AT_ONCE) * work.height * work.width
-    dense = CONVOLUTIONS_BYTES + at_once * FLOAT * (3 * config.dpt_features // 2 + 64)
-    block = (20 * FLOAT + 14 * work.narrow) * tokens * config.embed_dim
-    blocks = config.dino_depth + 2 * config.depth
-    every_image = work.pixels * FLOAT * (6 * config.dpt_features // 2 + 128)
-    return Activations(
-        peak=26 * values + kept + dense,
-        stored=(blocks * values + block if config.checkpoint_blocks else blocks * block)
-        + kept
-        + 2 * every_image,
-        result=2 * values + _geometry(work),
-    )
-
-
-def _depth_anything_3(config: DepthAnything3Config, work: Work) -> Activations:
-    """As VGGT, with two maps out of its one dense head: depth and rays."""
-    sizes = DA3_SIZES[config.size]
-    tokens = work.batch * work.views * ((work.height // DA3_PATCH) * (work.width // DA3_PATCH) + 1)
-    values = FLOAT * tokens * sizes.width
-    kept = 2 * len(sizes.outputs) * values
-    at_once = min(work.batch * work.views, IMAGES_AT_ONCE) * work.height * work.width
-    every_image = work.pixels * FLOAT * (12 * sizes.dense_width // 2 + 256)
-    block = (20 * FLOAT + 14 * work.narrow) * tokens * sizes.width
-    return Activations(
-        peak=26 * values
-        + kept
-        + CONVOLUTIONS_BYTES
-        + at_once * FLOAT * (2 * sizes.dense_width + 32),
-        stored=sizes.layers * block + kept + every_image,
-        result=values + _geometry(work),
-    )
-
-
-_BACKBONES: dict[type, Callable[[Any, Work], Activations]] = {
-    NanoConfig: _nano,
-    VGGTConfig: _vggt,
-    DepthAnything3Config: _depth_anything_3,
-}
-
-
-def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) -> Activations:
+def tokenizer_activations(
+    backbone: BackboneConfig, config: TokenizerConfig, work: Work
+) -> Activations:
     """What the tokenizer holds while it runs, in one go or window by window."""
     size = config.window_views
     if not size or work.views <= size:
         return _tokens_at_once(backbone, config, work)
     window = _tokens_at_once(backbone, config, replace(work, views=size, batch=1))
     lengths = window_lengths(work.views, size) * work.batch
-    patches = work.pixels // _on_paper(backbone).patch_size ** 2
+    patches = work.pixels // _outline(backbone).patch_size ** 2
     anchors = sum(lengths) * patches // (work.views * work.batch)
     kept = FLOAT * anchors * (config.width + 2 * config.num_groups)
     joining = 4 * FLOAT * patches * config.num_groups
@@ -347,9 +226,9 @@ def tokenizer_activations(backbone: Any, config: TokenizerConfig, work: Work) ->
     )
 
 
-def _tokens_at_once(backbone: Any, config: TokenizerConfig, work: Work) -> Activations:
+def _tokens_at_once(backbone: BackboneConfig, config: TokenizerConfig, work: Work) -> Activations:
     """By the patch, by the anchor, by the Gaussian."""
-    network = _on_paper(backbone)
+    network = _outline(backbone)
     channels, patches = network.feature_channels, work.pixels // network.patch_size**2
     anchors = min(work.batch * config.num_anchors, patches)
     head = config.gaussian_head
@@ -373,8 +252,3 @@ def _rendering(tokenizer: TokenizerConfig | None, work: Work) -> int:
     channels = 5 + (tokenizer.num_groups if tokenizer else 0)
     pixels = work.batch * work.targets * work.height * work.width
     return pixels * FLOAT * (4 * channels + (2 * 450 if work.lpips else 0))
-
-
-def _geometry(work: Work) -> int:
-    """Depths, confidences and pointmaps, as they are put together."""
-    return work.pixels * FLOAT * 12

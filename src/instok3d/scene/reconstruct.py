@@ -8,9 +8,10 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from instok3d.backbones.cost import Work
 from instok3d.files import sha256_of
 from instok3d.model.files import DEFAULT_MODEL, load_model, read_card, read_sizes
-from instok3d.model.memory import Work, check_memory
+from instok3d.model.memory import check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.scene.from_tokens import scene_from_tokens

@@ -8,9 +8,9 @@ from typing import Any
 
 from torch import Tensor
 
+from instok3d.backbones.base import BackboneConfig
 from instok3d.backbones.registry import build_backbone, name_of
 from instok3d.files import write_safetensors
-from instok3d.training.first_weights import BackboneConfig
 
 FORMAT = "instok3d-backbone-1"
 

@@ -9,6 +9,8 @@ from inspect import isabstract
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from instok3d.backbones.base import BackboneConfig
+from instok3d.backbones.registry import config_named, kind_named
 from instok3d.backbones.vggt import PAPER_VGGT
 from instok3d.data.batches import BatchConfig
 from instok3d.files import write_json
@@ -248,6 +250,24 @@ with the backbone of the shipped model, leaves the matches alone, which its loss
 moves the depths."""
 
 
+def on_backbone(config: TrainConfig, name: str) -> TrainConfig:
+    """The same run on another backbone, with the default sizes of that one.
+
+    Args:
+        config: A run of a stage that takes any backbone, as the tokenizer's and adapt.
+        name: Of a registered backbone.
+
+    Raises:
+        ValueError: No backbone has that name, or the stage has losses for one of its own.
+    """
+    if get_type_hints(type(config.stage)).get("backbone") is not BackboneConfig:
+        raise ValueError(
+            f"the {config.stage.name} stage has losses for a backbone of its own, it cannot train "
+            f"{name!r}: train that one by its own means, then give its weights with --init-from"
+        )
+    return replace(config, stage=replace(config.stage, backbone=kind_named(name).config()))
+
+
 def write_config(folder: Path, config: TrainConfig, **about: str) -> None:
     """Write RUN/config.json: the settings, and what else is known of the run."""
     write_json(folder / "config.json", {"config": to_json(config), **about})
@@ -289,8 +309,11 @@ def from_json(kind: Any, value: Any, where: str = "config") -> Any:
 
     Raises:
         KeyError: A key that the dataclass does not have.
-        ValueError: A value of another type than the field's.
+        ValueError: A value of another type than the field's, or sizes of a backbone that is not
+            registered.
     """
+    if kind is BackboneConfig and isinstance(value, dict):
+        kind = config_named(str(value.get("type")))
     if is_dataclass(kind) and isinstance(value, dict):
         return _dataclass_from_json(_written_class(kind, value, where), value, where)
     origin, arguments = get_origin(kind), get_args(kind)

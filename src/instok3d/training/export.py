@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from instok3d.backbones.base import BackboneConfig
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
 from instok3d.training.run_log import read_metrics
@@ -55,4 +56,5 @@ def _image_side(checkpoint: dict[str, Any], stage: StageConfig) -> int:
     if checkpoint.get("image_size"):
         return min(checkpoint["image_size"])
     # Older checkpoints do not say; their runs were on pictures for which the backbone is made.
-    return getattr(stage.workload().backbone, "img_size", 128)
+    backbone = stage.workload().backbone
+    return BackboneConfig().image_side if backbone is None else backbone.image_side

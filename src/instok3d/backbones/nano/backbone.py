@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
+from instok3d.backbones.base import BackboneConfig, GeometryBackbone, Prediction, settle_geometry
 from instok3d.backbones.nano.bundle import BundleNoise, SolveSettings
 from instok3d.backbones.nano.depth_agreement import agree_on_depths
 from instok3d.backbones.nano.layers import SelfAttentionBlock, Stem, Unshuffle
@@ -41,7 +41,7 @@ QUARTER_CHANNELS = 64
 
 
 @dataclass(frozen=True)
-class NanoConfig:
+class NanoConfig(BackboneConfig):
     """Sizes of the nano backbone."""
 
     width: int = 256

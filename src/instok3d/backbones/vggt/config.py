@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from instok3d.backbones.base import BackboneConfig
+
 
 @dataclass(frozen=True)
-class VGGTConfig:
+class VGGTConfig(BackboneConfig):
     """Sizes of VGGT and how its answer is read. The defaults are the public VGGT-1B's.
 
     Lists, as JSON gives them, become tuples.
@@ -42,6 +44,11 @@ class VGGTConfig:
     unprojected from the camera head's cameras."""
     checkpoint_blocks: bool = False
     """Recompute blocks in the backward pass: a third more time, far less memory."""
+
+    @property
+    def image_side(self) -> int:
+        """As its position embedding."""
+        return self.img_size
 
     def __post_init__(self):
         for name in ("dpt_out_channels", "dpt_layers"):

@@ -63,6 +63,18 @@ def from_published(state: Mapping[str, Tensor], config: VGGTConfig) -> dict[str,
     return resize_patches(kept, img_size=config.img_size, patch_size=config.patch_size)
 
 
+def fill_from_published(backbone: VGGTBackbone, weights: Mapping[str, Tensor]) -> bool:
+    """Put published weights into a backbone of any sizes of patch; False if these are none.
+
+    Raises:
+        RuntimeError: They are of other sizes.
+    """
+    if not is_published(weights):
+        return False
+    backbone.vggt.load_state_dict(from_published(weights, backbone.config))
+    return True
+
+
 def _read(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
         raise FileNotFoundError(f"no weights {path}; give the safetensors file of VGGT-1B")

@@ -7,8 +7,9 @@ import torch
 from torch import nn
 
 from instok3d.backbones.base import GeometryBackbone
-from instok3d.backbones.depth_anything3 import DepthAnything3Config
-from instok3d.model.memory import PROCESS_BYTES, Work, predict_peak_bytes, refuse_beyond
+from instok3d.backbones.cost import Work
+from instok3d.backbones.registry import kind_of
+from instok3d.model.memory import PROCESS_BYTES, predict_peak_bytes, refuse_beyond
 from instok3d.model.on_paper import on_paper
 from instok3d.training.checkpoint import KEPT
 from instok3d.training.config import TrainConfig
@@ -37,9 +38,9 @@ class Part:
 
 def model_on_paper(config: TrainConfig) -> nn.Module:
     """The run's model, without memory for its weights where it can be made so."""
-    # The package of Depth Anything 3 builds on true memory alone.
-    heavy = isinstance(config.stage.workload().backbone, DepthAnything3Config)
-    with nullcontext() if heavy else on_paper():
+    backbone = config.stage.workload().backbone
+    buildable = backbone is None or kind_of(backbone).outline is None
+    with on_paper() if buildable else nullcontext():
         return config.stage.new_model()
 
 

@@ -14,6 +14,7 @@ import torch
 from PIL.Image import Image
 from torch import Tensor, nn
 
+from instok3d.backbones.base import BackboneConfig
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.backbones.registry import build_backbone
 from instok3d.data.sample import Sample, photos_only
@@ -26,7 +27,7 @@ from instok3d.pictures import color_picture, contact_sheet, depth_picture, title
 from instok3d.render import render
 from instok3d.training.backbone_file import save_backbone
 from instok3d.training.cache.features import of_backbone
-from instok3d.training.first_weights import BackboneConfig, load_backbone
+from instok3d.training.first_weights import load_backbone
 from instok3d.training.perceptual import lpips_needed, lpips_network
 from instok3d.training.stages.answers import (
     AveragedRun,

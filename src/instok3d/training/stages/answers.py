@@ -6,9 +6,9 @@ from typing import Any
 
 from torch import Tensor
 
+from instok3d.backbones.base import BackboneConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.training.cache.features import BackboneInput
-from instok3d.training.first_weights import BackboneConfig
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from PIL.Image import Image
 from torch import Tensor, nn
 
-from instok3d.backbones.base import GeometryBackbone
+from instok3d.backbones.base import BackboneConfig, GeometryBackbone
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.backbones.registry import build_backbone
 from instok3d.data.sample import Sample, photos_only
@@ -34,7 +34,7 @@ from instok3d.objectives.segmentation import SegmentationLoss, segmentation_loss
 from instok3d.pictures import color_picture, contact_sheet, id_picture, titled_rows
 from instok3d.render import render
 from instok3d.training.cache.features import FeatureCache, of_backbone, with_backbone
-from instok3d.training.first_weights import BackboneConfig, load_backbone
+from instok3d.training.first_weights import load_backbone
 from instok3d.training.perceptual import lpips_needed, lpips_network
 from instok3d.training.schedule import warmed_up
 from instok3d.training.stages.answers import (
