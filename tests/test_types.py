@@ -25,6 +25,15 @@ def cameras(count: int) -> Cameras:
     return Cameras(cam_from_world, torch.eye(3).repeat(count, 1, 1))
 
 
+def test_a_stage_shows_sizes_instead_of_numbers():
+    expected = "Cameras(cam_from_world=float32[1, 4, 4], intrinsics=float32[1, 3, 3])"
+    assert repr(cameras(1)) == expected
+    views = Views(torch.zeros(1, 2, 3, 4, 4))
+    assert repr(views) == (
+        "Views(images=float32[1, 2, 3, 4, 4], intrinsics=None, cam_from_world=None, depths=None)"
+    )
+
+
 @pytest.mark.parametrize(
     "which",
     [slice(1, 3), torch.tensor([False, True, True, False]), torch.tensor([1, 2])],

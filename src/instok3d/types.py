@@ -25,6 +25,14 @@ AnyScenes = TypeVar("AnyScenes", bound="Scenes")
 class Flow:
     """Base of the stages below: operations on all the tensors of one at once."""
 
+    def __init_subclass__(cls) -> None:
+        # Set before @dataclass sets its own, which writes the numbers of all tensors.
+        cls.__repr__ = Flow.__repr__
+
+    def __repr__(self) -> str:
+        fields = [f"{name}={_summary(value)}" for name, value in vars(self).items()]
+        return f"{type(self).__name__}({', '.join(fields)})"
+
     def map(self: AnyFlow, operation: Callable[[Tensor], Tensor]) -> AnyFlow:
         """The stage with an operation applied to every tensor, nested stages included."""
         return type(self)(**{name: _mapped(value, operation) for name, value in vars(self).items()})
@@ -64,6 +72,12 @@ class Scenes(Flow):
 def _concatenated(values: list[Any], axis: int) -> Any:
     first = values[0]
     return first.concatenate(values, axis) if isinstance(first, Flow) else torch.cat(values, axis)
+
+
+def _summary(value: Any) -> str:
+    if not isinstance(value, Tensor):
+        return repr(value)
+    return f"{str(value.dtype).removeprefix('torch.')}{list(value.shape)}"
 
 
 def _mapped(value: Any, operation: Callable[[Tensor], Tensor]) -> Any:

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -74,6 +75,14 @@ def test_one_gaussian_has_the_extent_of_its_standard_deviations():
     assert aabb.max == pytest.approx((1.3, 2.2, 3.1))
     assert obb.size == pytest.approx((0.6, 0.4, 0.2))
     assert centroid == pytest.approx((1, 2, 3))
+
+
+def test_an_object_shows_itself_on_a_short_line(scene: Scene):
+    for item in scene.objects:
+        assert repr(item).startswith(f"<SceneObject {item.key} gaussians={item.num_gaussians} ")
+        assert len(repr(item)) < 120
+    named = replace(scene.objects[0], label="chair")
+    assert repr(named).startswith("<SceneObject object#1 label='chair' ")
 
 
 def test_a_record_survives_json(scene: Scene):

@@ -27,6 +27,16 @@ def test_objects_are_the_groups_that_win_anchors_and_pixels(scene: Scene):
     assert all(item.visible_in == (0, 1) for item in scene.objects)
 
 
+def test_a_scene_shows_counts_and_units_on_one_line(scene: Scene, empty_scene: Scene):
+    expected = "<Scene objects=2 gaussians=40 views=2 size=24x32 units=arbitrary warnings=0>"
+    assert repr(scene) == expected
+    assert repr(empty_scene).startswith("<Scene objects=0 ")
+    pictures = scene.render([0], ids=True)
+    assert "colors=float32[1, 3, 24, 32]" in repr(pictures)
+    assert "ids=int64[1, 24, 32]" in repr(pictures)
+    assert "\n" not in repr(pictures)
+
+
 def test_gaussians_stand_sorted_by_object_with_the_rest_last(scene: Scene):
     # 3 and 2 anchors of 4 Gaussians; 4 void anchors and the hidden one are the rest.
     assert [item.gaussian_range for item in scene.objects] == [(0, 12), (12, 8)]

@@ -70,7 +70,7 @@ class BestView:
     pixels: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SceneObject:
     """One object of a scene."""
 
@@ -94,6 +94,14 @@ class SceneObject:
     """Input views in which it wins enough pixels."""
     best_view: BestView
     label: str | None = None
+
+    def __repr__(self) -> str:
+        size = "x".join(f"{length:.2g}" for length in self.obb.size)
+        label = f" label={self.label!r}" if self.label else ""
+        return (
+            f"<SceneObject {self.key}{label} gaussians={self.num_gaussians} size={size} "
+            f"confidence={self.confidence:.2f} best_view={self.best_view.view}>"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for objects.json."""

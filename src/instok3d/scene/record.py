@@ -54,7 +54,7 @@ class Provenance:
     seed: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SceneRecord:
     """The data of a scene; `Scene` adds what can be done with it."""
 
@@ -84,6 +84,13 @@ class SceneRecord:
     warnings: tuple[str, ...]
     """What was left out, guessed or ignored on the way here."""
     provenance: Provenance
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} objects={len(self.objects)} "
+            f"gaussians={len(self.gaussians.means)} views={len(self.views)} "
+            f"size={self.height}x{self.width} units={self.units} warnings={len(self.warnings)}>"
+        )
 
 
 def near_and_far(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float]:

@@ -29,7 +29,7 @@ class Pictures(Rendering):
     """Object id of every pixel, 0 where no object is; None unless asked for."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene(SceneRecord):
     """Objects and the Gaussians they consist of.
 
