@@ -53,6 +53,11 @@ def test_the_test_commands_are_those_of_the_ci_word_for_word():
     assert ci[start : start + len(commands)] == commands
 
 
+def test_contributing_begins_with_the_same_commands():
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    assert blocks(page, "bash")[0] == blocks(section("Tests"), "bash")[0]
+
+
 @pytest.mark.parametrize("words", OURS, ids=" ".join)
 def test_the_command_line_takes_what_the_readme_writes(
     words: list[str], monkeypatch: pytest.MonkeyPatch
@@ -101,11 +106,11 @@ def test_the_file_tree_names_what_is_there():
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
-@pytest.mark.parametrize(
-    "page", ["README.md", *sorted(p.name for p in (ROOT / "docs").glob("*.md"))]
-)
-def test_links_lead_somewhere(page: str):
-    path = ROOT / page if page == "README.md" else ROOT / "docs" / page
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(path: Path):
     links = re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", path.read_text())
     local = [link for link in links if "://" not in link]
     assert [link for link in local if not (path.parent / link).exists()] == []
