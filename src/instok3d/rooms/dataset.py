@@ -1,6 +1,5 @@
 """Reading a folder of rooms, also while it is being written."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +7,10 @@ from typing import Any
 
 import torch
 from jaxtyping import Float, Int, UInt8
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.data.scenes import SceneFrames
-from instok3d.rooms.shards import read_index
+from instok3d.rooms.shards import Shard, read_index
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class RoomDataset:
     def __init__(self, folder: Path | str, seeds: range | None = None):
         """Keep the scenes whose seed is in `seeds`; None keeps all."""
         self.folder, self.seeds = Path(folder), seeds
-        self._open: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+        self._open: dict[str, Shard] = {}
         self.refresh()
 
     def refresh(self) -> None:
@@ -63,6 +61,7 @@ class RoomDataset:
             if self.seeds is None or seed in self.seeds
         ]
         self._scenes = sorted(found)
+        self._seeds = {name: record["seeds"] for name, record in index["shards"].items()}
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -96,19 +95,14 @@ class RoomDataset:
         if not all(0 <= frame < self._frames_per_scene for frame in chosen):
             raise IndexError(f"frames 0..{self._frames_per_scene - 1} exist, got {list(chosen)}")
         _, name, row, _ = self._scenes[number]
-        shard, _ = self._shard(name)
-
-        def read(key: str) -> Tensor:
-            whole = shard.get_slice(key)
-            return torch.stack([whole[row, frame] for frame in chosen])
-
+        shard = self._shard(name)
         return SceneFrames(
             name=self.name_of(number),
-            images=read("images"),
-            instances=read("instances").to(torch.int64),
-            depths_m=read("depths_mm").to(torch.float32) / 1000,
-            world_from_cam=read("world_from_cam"),
-            intrinsics=read("intrinsics"),
+            images=shard.read_frames("images", row, chosen),
+            instances=shard.read_frames("instances", row, chosen).to(torch.int64),
+            depths_m=shard.read_frames("depths_mm", row, chosen).to(torch.float32) / 1000,
+            world_from_cam=shard.read_frames("world_from_cam", row, chosen),
+            intrinsics=shard.read_frames("intrinsics", row, chosen),
         )
 
     def scene(self, number: int) -> RoomScene:
@@ -119,29 +113,21 @@ class RoomDataset:
             ValueError: Its file is missing or damaged.
         """
         _, name, row, _ = self._scenes[number]
-        shard, metas = self._shard(name)
-
-        def read(key: str) -> Tensor:
-            return shard.get_slice(key)[row]
-
+        shard = self._shard(name)
         return RoomScene(
-            read("images"),
-            read("instances").to(torch.int64),
-            read("depths_mm").to(torch.float32) / 1000,
-            read("world_from_cam"),
-            read("intrinsics"),
-            metas[row],
+            shard.read("images", row),
+            shard.read("instances", row).to(torch.int64),
+            shard.read("depths_mm", row).to(torch.float32) / 1000,
+            shard.read("world_from_cam", row),
+            shard.read("intrinsics", row),
+            shard.metas[row],
         )
 
-    def _shard(self, name: str) -> tuple[Any, list[dict[str, Any]]]:
-        """An open shard and the meta of its scenes; it stays open, a few hundred at most do."""
+    def _shard(self, name: str) -> Shard:
+        """An open shard; it stays open, a few hundred at most do."""
         if name not in self._open:
-            try:
-                shard = safe_open(self.folder / name, framework="pt")
-                self._open[name] = shard, json.loads(shard.metadata()["scenes"])
-            except (OSError, SafetensorError) as error:
-                raise ValueError(
-                    f"{self.folder / name} is missing or damaged ({error}); delete it and run "
-                    "`instok3d data rooms` on its seeds again"
-                ) from error
+            seeds = self._seeds[name]
+            self._open[name] = Shard(
+                self.folder / name, seeds, self._frames_per_scene, self.resolution
+            )
         return self._open[name]

@@ -4,14 +4,17 @@ import numpy as np
 from PIL import Image
 
 from instok3d.pictures import Section, contact_sheet, depth_picture, id_picture
+from instok3d.reading import naming_damage
 from instok3d.rooms.dataset import RoomDataset, RoomScene
+from instok3d.rooms.shards import SHARD_REMEDY
 
 
 def scene_sections(scene: RoomScene, views: int) -> list[Section]:
     """Three rows under a caption: `views` frames in colour, by instance, and by depth."""
     chosen = np.linspace(0, len(scene.images) - 1, views).round().astype(int)
-    objects = sum(not record["stuff"] for record in scene.meta["instances"])
-    caption = f"seed {scene.seed}, {scene.level} {scene.meta['room_type']}, {objects} objects"
+    with naming_damage(f"what is known of the room of seed {scene.seed}", SHARD_REMEDY):
+        objects = sum(not record["stuff"] for record in scene.meta["instances"])
+        caption = f"seed {scene.seed}, {scene.level} {scene.meta['room_type']}, {objects} objects"
     depths_m = scene.depths_m[chosen]
     grey = depth_picture(depths_m, farthest=max(float(depths_m.max()), 1e-3))
     return [
