@@ -245,7 +245,7 @@ def test_ctrl_c_within_an_exec_ends_with_the_exit_code():
     # Dataclasses and named tuples are made by exec, so that any import may be within one.
     code = (
         "import sys, instok3d.cli as cli\n"
-        "cli._dispatch = lambda words: exec('raise KeyboardInterrupt')\n"
+        "cli._dispatch = lambda words: exec('import signal; signal.raise_signal(signal.SIGINT)')\n"
         "sys.exit(cli.main([]))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 130

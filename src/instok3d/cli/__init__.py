@@ -36,7 +36,7 @@ OUT_OF_MEMORY = ("can't allocate memory", "CUDA out of memory")
 """What torch, which has no error type for it on the CPU, says when memory runs out."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG)
 
-OK, BAD_INPUT, RESOURCES, MISSING_WEIGHTS, INTERRUPTED = 0, 2, 3, 4, 130
+OK, BAD_INPUT, RESOURCES, MISSING_WEIGHTS = 0, 2, 3, 4
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,16 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _dispatch(words)
         sys.stdout.flush()
         return code
-    except EndedBySignal as end:
-        name = signal.Signals(end.number).name
-        print(f"\ninstok3d: ended by {name}; nothing half-written was left", file=sys.stderr)
-        return end.exit_code
-    except KeyboardInterrupt:
-        print("\ninstok3d: interrupted; nothing half-written was left", file=sys.stderr)
-        # Where it passed through an exec, as in imports, Python would end by the signal instead of
-        # with the exit code; another exec makes it forget (run_eval_code_obj of CPython).
-        exec("")
-        return INTERRUPTED
+    except KeyboardInterrupt as end:
+        number = end.number if isinstance(end, EndedBySignal) else signal.SIGINT
+        name = signal.Signals(number).name
+        how = "interrupted" if number == signal.SIGINT else f"ended by {name}"
+        print(f"\ninstok3d: {how}; nothing half-written was left", file=sys.stderr)
+        return 128 + number
     except Exception as error:
         code = exit_code(error)
         if debug or code is None:

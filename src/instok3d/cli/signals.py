@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP as an orderly end, like Ctrl-C: what was begun is cleared away."""
+"""Ctrl-C, SIGTERM and SIGHUP as an orderly end: what was begun is cleared away."""
 
 import os
 import signal
@@ -6,25 +6,27 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-NAMES = ("SIGTERM", "SIGHUP")
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class EndedBySignal(KeyboardInterrupt):
-    """The process was asked to end."""
+    """The process was asked to end.
+
+    A class of its own: where KeyboardInterrupt itself has passed through an exec, as in the import
+    of a dataclass, CPython ends by the signal and not with the exit code (run_eval_code_obj).
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
 
-    @property
-    def exit_code(self) -> int:
-        """As a shell reports it."""
-        return 128 + self.number
-
 
 @contextmanager
 def orderly_end() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise `EndedBySignal` in the block; only the first one does.
+    """Let SIGINT, SIGTERM and SIGHUP raise `EndedBySignal` in the block; only the first one does.
+
+    After it SIGTERM and SIGHUP are ignored, so that clearing away is not cut short, and a second
+    Ctrl-C is that of Python.
 
     A signal that was ignored before, as SIGHUP under nohup, stays ignored. In other threads than
     the main one, which alone receives signals, nothing changes.
@@ -36,7 +38,8 @@ def orderly_end() -> Iterator[None]:
 
     def end(number: int, _frame: object) -> None:
         for each in before:
-            signal.signal(each, signal.SIG_IGN if os.getpid() == owner else signal.SIG_DFL)
+            again = signal.default_int_handler if each == signal.SIGINT else signal.SIG_IGN
+            signal.signal(each, again if os.getpid() == owner else signal.SIG_DFL)
         if os.getpid() != owner:  # a fork, in which the owner's files are not to be cleared away
             os.kill(os.getpid(), number)
         raise EndedBySignal(number)
