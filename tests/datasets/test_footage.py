@@ -7,6 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
+from depth_room import HEIGHT, INTRINSICS, WIDTH, room
 from instok3d.datasets.footage import FootageSource
 from instok3d.datasets.preparation import PreparationReport, plan_preparation, prepare
 from instok3d.datasets.prepared import PreparedScenes, read_scene, verify
@@ -109,6 +110,50 @@ def test_depth_in_an_unknown_unit_is_left_out_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="left out: its unit is not known"):
         (job,) = FootageSource(photos, cameras=tmp_path / "transforms.json").jobs()
     assert job.info.settings["layers"] == ["images"]
+
+
+def write_rgbd(folder: Path, store, **table) -> Path:
+    """A recording of a box room; `store` brings its metres into what the files hold."""
+    depths, cam_from_world = room(3)
+    frames = []
+    for index, pose in enumerate(invert_rigid(cam_from_world)):
+        (folder / "color").mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (WIDTH, HEIGHT)).save(folder / f"color/{index}.png")
+        np.save(folder / f"{index}.npy", store(depths[index].numpy()))
+        frames.append(
+            {"color": f"color/{index}.png", "depth": f"{index}.npy", "c2w": pose.tolist()}
+        )
+    sizes = {"width": WIDTH, "height": HEIGHT, "K": INTRINSICS.tolist()}
+    (folder / "scene.json").write_text(json.dumps({**sizes, "frames": frames, **table}))
+    return folder
+
+
+def test_depth_in_metres_is_prepared_in_thousandths(tmp_path):
+    folder = write_rgbd(tmp_path / "room", lambda d: d.astype(np.float32), depth_scale=1)
+    assert prepared(FootageSource(folder, size=32), tmp_path / "out").failed == {}
+    depths = PreparedScenes(tmp_path / "out").frames(0, [0, 2]).depths_m
+    assert 1 < float(depths.median()) < 5
+
+
+@pytest.mark.parametrize(
+    ("store", "table", "message"),
+    [
+        (lambda d: d.astype(np.float32), {}, "m in the median, which is no room"),
+        (lambda d: (1000 * d).astype(np.uint16), {"depth_scale": 1}, "which is no room"),
+        (lambda d: (1000 * d).astype(np.uint16), {"depth_scale": 5000}, "does not fit the cameras"),
+        (lambda d: (1000 * d).astype(np.uint16).byteswap(), {}, "looks byte-swapped"),
+        (lambda d: np.full(d.shape, 65534, np.uint16), {}, "65.534 in every pixel"),
+        (lambda d: np.zeros(d.shape, np.uint16), {}, "hold no depth"),
+        (lambda d: np.full(d.shape, np.nan, np.float32), {}, "hold no depth"),
+    ],
+)
+def test_depth_that_does_not_fit_is_refused_before_a_frame_is_written(
+    tmp_path, store, table, message
+):
+    folder = write_rgbd(tmp_path / "room", store, **table)
+    report = prepared(FootageSource(folder, size=32), tmp_path / "out")
+    assert message in report.failed["room"]
+    assert not (tmp_path / "out/room").exists()
 
 
 def test_real_posed_depth_of_two_frames_agrees(shared, tmp_path):

@@ -99,5 +99,6 @@ def test_a_world_whose_origin_is_far_away_is_refused():
     check_distance([_standing_at(0.0), _standing_at(2.0)])
     check_distance([_standing_at(1000.0), _standing_at(1002.0)])
     check_distance([_standing_at(500_000.0)])
+    check_distance([_standing_at(1000.0), _standing_at(1000.0 * (1 + 1e-15))])  # rounding alone
     with pytest.raises(ValueError, match=r"stand 5e\+05 units .* move the origin"):
         check_distance([_standing_at(500_000.0), _standing_at(500_002.0)])

@@ -91,3 +91,59 @@ def test_bad_depth_files_are_named(tmp_path):
     (tmp_path / "cut.png").write_bytes((tmp_path / "cut.png").read_bytes()[:2000])
     with pytest.raises(ValueError, match=r"cut\.png is damaged or cut off"):
         read_depth(tmp_path / "cut.png", scale=1.0)
+
+
+def slope(width: int = 40) -> np.ndarray:
+    """Millimetres of a wall that is seen at an angle, with holes."""
+    row = np.linspace(1000, 3000, width).astype(np.uint16)
+    values = np.stack([row + 7 * k for k in range(30)])
+    values[3:6, 5:9] = 0
+    return values
+
+
+@pytest.mark.parametrize("suffix", ["png", "pgm", "tif", "npy"])
+def test_byte_swapped_depth_is_refused_in_every_format(tmp_path, suffix):
+    path = tmp_path / f"d.{suffix}"
+    for values, is_right in ((slope(), True), (slope().byteswap(), False)):
+        np.save(path, values) if suffix == "npy" else Image.fromarray(values).save(path)
+        if is_right:
+            assert float(read_depth(path, scale=1000.0).max()) == pytest.approx(3.2, abs=0.01)
+        else:
+            with pytest.raises(ValueError, match=rf"d\.{suffix} looks byte-swapped"):
+                read_depth(path, scale=1000.0)
+
+
+def test_arrays_in_either_byte_order_are_read_by_their_header(tmp_path):
+    for order in ("<u2", ">u2"):
+        np.save(tmp_path / "d.npy", slope().astype(order))
+        assert float(read_depth(tmp_path / "d.npy", scale=1000.0).max()) < 4
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.zeros((0, 4), np.uint16),
+        np.zeros((4, 4), np.uint16),
+        np.full((4, 4), 2000, np.uint16),
+        np.full((4, 1), 2000, np.uint16),
+        256 * (slope() // 256),
+        np.random.default_rng(0).integers(0, 9999, (64, 64)).astype(np.uint16),
+        70_000 + slope().astype(np.int32),
+        slope().astype(np.int64) - 2000,
+    ],
+)
+def test_other_numbers_are_not_taken_for_byte_swapped(tmp_path, values):
+    np.save(tmp_path / "d.npy", values)
+    assert read_depth(tmp_path / "d.npy", scale=1.0).shape == values.shape
+
+
+@pytest.mark.parametrize("value", [1e10, 1e300, -1e300, np.inf, np.nan])
+def test_what_is_endlessly_far_is_unknown(tmp_path, value):
+    np.save(tmp_path / "d.npy", np.array([[2.0, value]]))
+    assert read_depth(tmp_path / "d.npy", scale=1.0).tolist() == [[2.0, 0.0]]
+
+
+def test_large_arrays_are_refused_too(tmp_path):
+    np.save(tmp_path / "d.npy", np.ones((64, 64)))
+    with pytest.raises(ValueError, match=r"d\.npy has 0\.0 megapixels, more than"):
+        read_depth(tmp_path / "d.npy", scale=1.0, max_pixels=1000)

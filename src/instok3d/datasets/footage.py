@@ -9,8 +9,9 @@ from pathlib import Path
 from instok3d.datasets.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.datasets.preparation import SceneJob, estimate_bytes
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, Split
-from instok3d.photos.cameras import CameraSet
+from instok3d.photos.cameras import CameraSet, PhotoCamera
 from instok3d.photos.captures import find_photos_and_cameras
+from instok3d.photos.depth_checks import check_depth, read_depth_views
 from instok3d.photos.image_decoding import own_pixel_limit
 
 
@@ -107,6 +108,13 @@ def _id_maps(photos: Sequence[Path], masks: Path) -> list[Path]:
 
 
 def _frames(files: Sequence[PhotoFiles], size: int) -> Iterator[PreparedFrame]:
+    _check_depth([file.camera for file in files if file.camera is not None and file.with_depth])
     with own_pixel_limit():
         for file in files:
             yield prepared_photo(file, size)
+
+
+def _check_depth(cameras: Sequence[PhotoCamera]) -> None:
+    """Refuse depth in another unit than metres, that of the cameras, before a frame is written."""
+    for note in check_depth(read_depth_views(cameras), metric=True):
+        warnings.warn(note, stacklevel=3)

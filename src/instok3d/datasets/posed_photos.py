@@ -19,7 +19,7 @@ from instok3d.geometry.cameras import invert_rigid
 from instok3d.photos.camera_fit import fit_camera
 from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.cropping import crop_about_principal_point, crop_values
-from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
+from instok3d.photos.depth_files import depth_at_model_pixels, read_camera_depth
 from instok3d.photos.distortion import Distortion
 from instok3d.photos.image_decoding import DecodedPhoto, decode_photo
 from instok3d.photos.pixel_map import PixelMap
@@ -169,7 +169,7 @@ def _depth(
     camera = files.camera
     if camera is None or camera.depth_path is None:
         return np.zeros((pixel_map.height, pixel_map.width), dtype=np.uint16)
-    depth = read_depth(camera.depth_path, scale=camera.depth_scale)
+    depth = read_camera_depth(camera)
     thousandths = depth_at_model_pixels(depth, pixel_map, stored_orientation=turned_by) * 1000
     known = thousandths.round() <= np.iinfo(np.uint16).max
     return torch.where(known, thousandths, 0).round().numpy().astype(np.uint16)

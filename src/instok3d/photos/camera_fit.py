@@ -14,6 +14,8 @@ from instok3d.photos.pixel_map import PixelMap, upright_from_stored
 
 MAX_DISTORTION = 0.05
 """Of the image diagonal: a lens that moves any pixel by more is refused."""
+ONE_PLACE = 1e-9
+"""Cameras nearer to each other, in scene units and in distances from the origin, stand together."""
 _MIRRORED = (2, 4, 5, 7)
 
 
@@ -121,8 +123,10 @@ def check_distance(cameras: Sequence[PhotoCamera]) -> None:
     centers = invert_rigid(cam_from_world)[:, :3, 3]
     away = float(centers.norm(dim=1).max())
     spread = float((centers - centers.mean(dim=0)).norm(dim=1).max())
+    if spread <= ONE_PLACE * max(away, 1.0):
+        return  # cameras that only turn; what is left of their distances is rounding
     step = away * torch.finfo(torch.float32).eps
-    if step > 1e-3 * spread > 0:
+    if step > 1e-3 * spread:
         raise ValueError(
             f"the cameras stand {away:.3g} units from the origin of their world but only "
             f"{spread:.3g} apart; move the origin of the camera file to the scene"

@@ -4,21 +4,26 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped, UInt16
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from instok3d.geometry.cameras import pixel_centers
+from instok3d.geometry.checks import MAX_DISTANCE
+from instok3d.photos.camera_fit import same_shape
+from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.pixel_map import PixelMap, upright_from_stored
 
+MAX_PIXELS = 64_000_000
+"""Larger pictures are refused before they are decoded."""
 MISSING_16_BIT = 65535
 """What several sensors store for "no depth"; read as 0 like everything that is not finite."""
 
 
 def read_depth(
-    path: Path, *, scale: float, max_pixels: int = 64_000_000
+    path: Path, *, scale: float, max_pixels: int = MAX_PIXELS
 ) -> Float[Tensor, "height width"]:
-    """z-depth in scene units, 0 where it is unknown.
+    """z-depth in scene units, 0 where it is unknown: not finite, not above 0, or endlessly far.
 
     Args:
         path: A 16-bit or float picture (PNG, PGM, TIFF), or a .npy array.
@@ -32,7 +37,8 @@ def read_depth(
     if not path.is_file():
         raise FileNotFoundError(f"there is no depth file {path}")
     try:
-        values = _read_array(path) if path.suffix == ".npy" else _read_picture(path, max_pixels)
+        is_array = path.suffix.lower() == ".npy"
+        values = _read_array(path) if is_array else _read_picture(path, max_pixels)
     except UnidentifiedImageError as error:
         raise ValueError(f"{path} is not a depth picture in a known format") from error
     except Image.DecompressionBombError as error:
@@ -43,10 +49,53 @@ def read_depth(
         raise ValueError(
             f"{path} holds {values.dtype} of shape {values.shape}, wanted one number a pixel"
         )
-    known = np.isfinite(values) & (values > 0)
+    _check_pixels(path, *values.shape, max_pixels)
     if values.dtype.kind in "ui":
-        known &= values != MISSING_16_BIT
-    return torch.from_numpy(np.where(known, values, 0).astype(np.float32) / np.float32(scale))
+        values = np.where(values == MISSING_16_BIT, 0, values)
+        if _is_byte_swapped(values):
+            raise ValueError(
+                f"{path} looks byte-swapped: its numbers jump from pixel to pixel, with their two "
+                "bytes exchanged they do not; write it in the other byte order"
+            )
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        depth = values.astype(np.float32) / np.float32(scale)
+    return torch.from_numpy(np.where((depth > 0) & (depth <= MAX_DISTANCE), depth, np.float32(0)))
+
+
+def _is_byte_swapped(values: Shaped[np.ndarray, "height width"]) -> bool:
+    """Whether numbers of 16 bits are smooth only after their bytes are exchanged."""
+    if values.size == 0 or values.max() > np.iinfo(np.uint16).max or values.min() < 0:
+        return False
+    as_read = values.astype(np.uint16)
+    roughness = _roughness(as_read)
+    return roughness > 0.01 and roughness > 4 * _roughness(as_read.byteswap())
+
+
+def _roughness(values: UInt16[np.ndarray, "height width"]) -> float:
+    """Mean step between known neighbours in a row, in units of the mean value."""
+    known = (values[:, 1:] > 0) & (values[:, :-1] > 0)
+    steps = np.abs(np.diff(values.astype(np.float64), axis=1))[known]
+    return float(steps.mean() / values[values > 0].mean()) if steps.size else 0.0
+
+
+def read_camera_depth(
+    camera: PhotoCamera, *, max_pixels: int = MAX_PIXELS
+) -> Float[Tensor, "height width"]:
+    """The depth picture that belongs to a camera; see `read_depth`.
+
+    Raises:
+        FileNotFoundError: The camera has none, or it is not there.
+        ValueError: It is damaged, or has another shape than the camera's image.
+    """
+    if camera.depth_path is None:
+        raise FileNotFoundError(f"the camera of {camera.name} has no depth picture")
+    depth = read_depth(camera.depth_path, scale=camera.depth_scale, max_pixels=max_pixels)
+    if not same_shape((depth.shape[0], depth.shape[1]), (camera.height, camera.width)):
+        raise ValueError(
+            f"{camera.depth_path} has {depth.shape[1]} x {depth.shape[0]} pixels, which is not "
+            f"the shape of its camera's image of {camera.width} x {camera.height}"
+        )
+    return depth
 
 
 def depth_at_model_pixels(
@@ -80,6 +129,14 @@ def depth_at_model_pixels(
     return values.view(pixel_map.height, pixel_map.width)
 
 
+def _check_pixels(path: Path, height: int, width: int, max_pixels: int) -> None:
+    if height * width > max_pixels:
+        raise ValueError(
+            f"{path} has {width * height / 1e6:.1f} megapixels, more than the limit of "
+            f"{max_pixels / 1e6:g}"
+        )
+
+
 def _read_array(path: Path) -> np.ndarray:
     try:
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
@@ -89,11 +146,7 @@ def _read_array(path: Path) -> np.ndarray:
 
 def _read_picture(path: Path, max_pixels: int) -> np.ndarray:
     with Image.open(path, formats=["PNG", "PPM", "TIFF"]) as image:
-        if image.width * image.height > max_pixels:
-            raise ValueError(
-                f"{path} has {image.width * image.height / 1e6:.1f} megapixels, more than the "
-                f"limit of {max_pixels / 1e6:g}"
-            )
+        _check_pixels(path, image.height, image.width, max_pixels)
         if not (image.mode.startswith("I") or image.mode == "F"):
             raise ValueError(
                 f"{path} has {image.mode} pixels, wanted one 16-bit or float number a pixel"

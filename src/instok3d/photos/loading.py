@@ -15,10 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from instok3d.photos.camera_fit import check_distance, check_distortion, fit_camera, same_shape
+from instok3d.photos.camera_fit import check_distance, check_distortion, fit_camera
 from instok3d.photos.cameras import CameraSet, PhotoCamera
 from instok3d.photos.captures import find_photos_and_cameras
-from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
+from instok3d.photos.depth_checks import DepthViews, check_depth
+from instok3d.photos.depth_files import depth_at_model_pixels, read_camera_depth
 from instok3d.photos.image_decoding import MAX_PIXELS, DecodedPhoto, decode_photo, own_pixel_limit
 from instok3d.photos.image_files import find_images as find_images
 from instok3d.photos.pixel_map import Fit, PixelMap
@@ -115,7 +116,7 @@ def load_photos(
         FileNotFoundError: A photo or its depth file is not there.
         PermissionError: A photo may not be read.
         ValueError: No photo; a photo that is damaged, no picture or too large; a photo without
-            camera, or whose shape is not its camera's.
+            camera, or whose shape is not its camera's; depth that does not fit the cameras.
     """
     if not paths:
         raise ValueError("no photo was given")
@@ -139,6 +140,9 @@ def load_photos(
             views = Views(_images(photos), intrinsics)
         else:
             views = _posed_views(photos, paths, known, notes, max_pixels)
+            notes += _depth_notes(
+                views, known, metric=cameras is not None and cameras.units == "metres"
+            )
     for note in notes:
         warnings.warn(note, stacklevel=2)
     return PhotoSet(
@@ -263,17 +267,25 @@ def _posed_views(
     )
 
 
+def _depth_notes(views: Views, cameras: Sequence[PhotoCamera], *, metric: bool) -> list[str]:
+    if views.depths is None or views.intrinsics is None or views.cam_from_world is None:
+        return []
+    every = DepthViews(
+        views.depths[0],
+        views.intrinsics[0],
+        views.cam_from_world[0],
+        tuple(camera.name for camera in cameras),
+    )
+    given = [index for index, camera in enumerate(cameras) if camera.depth_path is not None]
+    return check_depth(every.rows(given), metric=metric)
+
+
 def _depth(
     camera: PhotoCamera, pixel_map: PixelMap, turned_by: int, max_pixels: int
 ) -> Float[Tensor, "height width"]:
     if camera.depth_path is None:
         return torch.zeros(pixel_map.height, pixel_map.width)
-    depth = read_depth(camera.depth_path, scale=camera.depth_scale, max_pixels=max_pixels)
-    if not same_shape((depth.shape[0], depth.shape[1]), (camera.height, camera.width)):
-        raise ValueError(
-            f"{camera.depth_path} has {depth.shape[1]} x {depth.shape[0]} pixels, which is not "
-            f"the shape of its camera's image of {camera.width} x {camera.height}"
-        )
+    depth = read_camera_depth(camera, max_pixels=max_pixels)
     return depth_at_model_pixels(depth, pixel_map, stored_orientation=turned_by)
 
 
