@@ -1,4 +1,5 @@
 import json
+import os
 import pickle
 from pathlib import Path
 
@@ -77,6 +78,30 @@ def test_photos_with_ids_and_cameras_can_be_trained_on(tmp_path):
     assert frames.world_from_cam[1, :3, 3].tolist() == pytest.approx([2.0, 0.0, 0.0])
     # 30 rows become 16: f = 35 * 16 / 30.
     assert frames.intrinsics[0, 0, 0].item() == pytest.approx(35 * 16 / 30)
+
+
+def test_scenes_are_named_by_the_whole_name_of_their_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("room.v1", "room.v2", "~room"):
+        write_photos(tmp_path / name, 1)
+        (job,) = FootageSource(Path(name), size=16).jobs()
+        assert job.info.name == name
+
+
+def test_a_pipe_among_the_id_maps_is_none_of_them(tmp_path):
+    photos, masks = write_photos(tmp_path / "kitchen", 2), write_ids(tmp_path / "masks", 1)
+    os.mkfifo(masks / "shot 1.png")
+    with pytest.raises(FileNotFoundError, match=r"no id map for 1 of 2 photos"):
+        FootageSource(photos, masks).jobs()
+
+
+def test_photos_beside_a_capture_that_have_no_camera_are_told(tmp_path):
+    photos = write_photos(tmp_path / "room/images", 4)
+    table = json.loads(write_transforms(tmp_path / "transforms.json", 2).read_text())
+    (photos.parent / "transforms.json").write_text(json.dumps(table))
+    with pytest.warns(UserWarning, match=r"2 of 4 photos .*left out: images/shot 2\.jpg"):
+        (job,) = FootageSource(photos.parent, size=16).jobs()
+    assert len(list(job.frames())) == 2
 
 
 def test_bad_footage_is_refused_with_a_reason(tmp_path):

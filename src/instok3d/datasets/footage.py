@@ -12,6 +12,7 @@ from instok3d.datasets.prepared import PreparedFrame, SceneInfo, Split
 from instok3d.photos.cameras import CameraSet, PhotoCamera
 from instok3d.photos.captures import find_photos_and_cameras
 from instok3d.photos.depth_checks import check_depth, read_depth_views
+from instok3d.photos.file_names import given_path
 from instok3d.photos.image_decoding import own_pixel_limit
 
 
@@ -55,7 +56,8 @@ class FootageSource:
         settings = {"size": self.size, "layers": layers, "cameras": cameras is not None,
                     "origin": _origin(files)}  # fmt: skip
         unit = "metre" if cameras is not None and cameras.units == "metres" else "arbitrary"
-        name = self.name or self.folder.expanduser().absolute().stem
+        place = given_path(self.folder).absolute()
+        name = self.name or (place.name if place.is_dir() else place.stem)
         info = SceneInfo(name, "footage", self.split, unit, settings)
         estimate = estimate_bytes(len(files), self.size, self.size, layers)
         return [SceneJob(info, estimate, partial(_frames, files, self.size))]
@@ -89,7 +91,7 @@ def _files_of(
 def _id_maps(photos: Sequence[Path], masks: Path) -> list[Path]:
     if not masks.is_dir():
         raise FileNotFoundError(f"there is no folder of id maps {masks}")
-    found = {path.stem: path for path in masks.glob("[!.]*.png")}
+    found = {path.stem: path for path in masks.glob("[!.]*.png") if path.is_file()}
     missing = [photo.name for photo in photos if photo.stem not in found]
     if missing:
         raise FileNotFoundError(
