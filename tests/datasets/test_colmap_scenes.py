@@ -110,6 +110,15 @@ def test_of_several_models_the_largest_is_prepared_and_told(tmp_path):
     assert (report.frames, report.dropped, report.failed) == (3, {}, {})
 
 
+def test_models_within_a_scene_are_told_once(tmp_path):
+    write_scene(tmp_path / "room", ["a.png", "b.png"])
+    write_colmap(tmp_path / "room/sparse/1", PINHOLE, [("z.png", pose(0), 1)], ".bin")
+    with pytest.warns(UserWarning, match="2 COLMAP models") as caught:
+        (job,) = ColmapSource(tmp_path / "room", size=16).jobs()
+    assert job.info.name == "room"
+    assert len(caught) == 1
+
+
 def test_photos_that_the_model_does_not_name_are_told(tmp_path):
     write_scene(tmp_path / "room", [f"{k}.png" for k in range(4)])
     images = [(f"{k}.png", pose(k), 1) for k in (1, 3)]

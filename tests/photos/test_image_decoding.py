@@ -297,7 +297,7 @@ def test_a_missing_and_a_forbidden_file_are_named(tmp_path, monkeypatch):
 def test_heic_without_the_plugin_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
-    with pytest.raises(ValueError, match=r"a\.heic .* pip install instok3d\[heic\]"):
+    with pytest.raises(ValueError, match=r"a\.heic .* pip install 'instok3d\[heic\]'"):
         decode_photo(tmp_path / "a.heic", height=8, width=8)
 
 

@@ -58,7 +58,7 @@ def test_text_named_mp4_is_an_error(tmp_path):
 def test_without_the_plugin_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     (tmp_path / "a.mp4").touch()
-    with pytest.raises(ValueError, match=r"a\.mp4 .* pip install instok3d\[video\]"):
+    with pytest.raises(ValueError, match=r"a\.mp4 .* pip install 'instok3d\[video\]'"):
         find_images(tmp_path / "a.mp4")
 
 
@@ -138,5 +138,5 @@ def test_text_and_lists_that_lead_to_other_files_are_no_videos(photos, tmp_path,
 def test_without_the_plugin_an_unknown_file_is_perhaps_a_video(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     (tmp_path / "a.xyz").write_bytes(b"0123456789")
-    with pytest.raises(ValueError, match=r"a\.xyz is no picture .* pip install instok3d\[video\]"):
+    with pytest.raises(ValueError, match=r"a\.xyz is no picture .* install 'instok3d\[video\]'"):
         find_images(tmp_path / "a.xyz")

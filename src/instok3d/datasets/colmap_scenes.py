@@ -44,17 +44,17 @@ class ColmapSource:
             raise ValueError(f"size must be 1 or more, got {self.size}")
         if not self.folder.is_dir():
             raise FileNotFoundError(f"there is no folder {self.folder}")
-        folders = [self.folder, *sorted(path for path in self.folder.iterdir() if path.is_dir())]
+        own = _model_of(self.folder)
+        if own is not None:
+            return [self._job(self.folder, own)]
+        folders = sorted(path for path in self.folder.iterdir() if path.is_dir())
         models = {path: model for path in folders if (model := _model_of(path)) is not None}
         if not models:
             raise FileNotFoundError(
                 f"{self.folder} holds no COLMAP scene: wanted cameras and images (.bin or .txt) in "
                 "sparse/0, here or in its folders"
             )
-        if self.folder in models:
-            models = {self.folder: models[self.folder]}
-        else:
-            self._warn_of_photos_alone([path for path in folders if path not in models])
+        self._warn_of_photos_alone([path for path in folders if path not in models])
         return [self._job(path, model) for path, model in models.items()]
 
     def _warn_of_photos_alone(self, folders: Sequence[Path]) -> None:
