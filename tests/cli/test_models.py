@@ -1,5 +1,6 @@
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 from safetensors.torch import load_file
 
 from instok3d.cli import main
-from instok3d.weights import find_entry
+from instok3d.weights import CATALOGUE, find_entry
 from instok3d.weights.cache import place_of
 
 
@@ -27,21 +28,54 @@ def test_list_shows_terms_hashes_and_what_is_here(capsys: pytest.CaptureFixture[
                          "lpips-vgg16", "lpips-alexnet", "sam2.1-tiny", "sam2.1-large"}  # fmt: skip
     assert rows["vggt-1b"]["present"]
     assert not rows["da3-small"]["present"]
-    assert rows["da3-small"]["sha256"] == "unknown: recorded at the first pull"
+    assert rows["da3-small"]["sha256"].startswith("364492e3")
     assert rows["lpips-vgg16"]["sha256"].startswith("4276ceaa")
     assert rows["vggt-1b"]["size_bytes"] == 7
+    assert "the catalogue has f164acf6" in rows["vggt-1b"]["state"]
+    assert "at 860abec7" in rows["vggt-1b"]["source"]
     assert "not for commercial use" in rows["vggt-1b"]["licence"]
     assert main(["models", "list"]) == 0
     shown = capsys.readouterr().out
     assert all(row["training_data"] in shown for row in rows.values())
 
 
-def test_pulling_what_is_here_does_nothing_and_says_so(capsys: pytest.CaptureFixture[str]):
+@pytest.fixture
+def unpinned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """da3-small and vggt-1b as if nobody stated their commits and hashes."""
+    entries = [
+        replace(entry, sha256=None, source=replace(entry.source, revision=None))
+        if entry.name in ("da3-small", "vggt-1b")
+        else entry
+        for entry in CATALOGUE
+    ]
+    monkeypatch.setattr("instok3d.weights.catalogue.CATALOGUE", tuple(entries))
+
+
+def test_what_cannot_be_checked_is_refused_before_anything_is_fetched(
+    unpinned, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(
+        "instok3d.weights.download.pull_from_packages", lambda *_: pytest.fail("fetched")
+    )
+    assert main(["models", "pull", "lpips", "da3-small", "vggt-1b"]) == 2
+    said = capsys.readouterr().err
+    assert "da3-small" in said
+    assert "--trust-first-use" in said
+    assert not (tmp_path / "home").exists()
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    assert main(["models", "pull", "da3-small", "--trust-first-use"]) == 4  # it tries now
+
+
+def test_pulling_what_is_here_does_nothing_and_says_so(
+    unpinned, capsys: pytest.CaptureFixture[str]
+):
     place = place_of(find_entry("da3-small"))
     place.parent.mkdir(parents=True)
     place.write_bytes(b"weights")
-    for _ in range(2):
-        assert main(["models", "pull", "da3-small"]) == 0
+    assert main(["models", "pull", "da3-small"]) == 2
+    assert "which SHA-256 da3-small must have" in capsys.readouterr().err
+    for more in (["--trust-first-use"], []):
+        assert main(["models", "pull", "da3-small", *more]) == 0
     shown = capsys.readouterr()
     assert shown.out.split() == [str(place)] * 2
     assert shown.err.count("da3-small is already here, unharmed; nothing was fetched") == 2

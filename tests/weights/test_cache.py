@@ -10,12 +10,21 @@ from instok3d.errors import MissingWeightsError
 from instok3d.model.files import DEFAULT_MODEL
 from instok3d.weights import CATALOGUE, find_entry, weights_path
 from instok3d.weights import cache as cache_module
+from instok3d.weights.catalogue import HubFiles, Shipped, WeightsEntry
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path))
     return tmp_path
+
+
+@pytest.fixture
+def unpinned(monkeypatch: pytest.MonkeyPatch) -> WeightsEntry:
+    """An entry of which nobody states a hash, in the place of vggt-1b."""
+    entry = replace(find_entry("vggt-1b"), sha256=None)
+    monkeypatch.setattr(cache_module, "find_entry", lambda name: entry)
+    return entry
 
 
 def put(name: str, content: bytes = b"weights") -> Path:
@@ -33,6 +42,19 @@ def test_names_are_not_given_twice_and_hashes_are_whole():
         assert all([entry.use, entry.licence, entry.training_data, entry.size_bytes])
 
 
+@pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: entry.name)
+def test_every_entry_from_elsewhere_is_pinned(entry: WeightsEntry):
+    """To the commit that its files are taken at, and to the SHA-256 of the weights."""
+    if isinstance(entry.source, Shipped):
+        return
+    assert entry.sha256 is not None
+    if isinstance(entry.source, HubFiles):
+        assert entry.source.revision is not None
+        assert len(entry.source.revision) == 40
+        assert int(entry.source.revision, 16)
+        assert entry.source.revision in cache_module.by_hand(entry)
+
+
 def test_missing_weights_say_what_to_fetch_and_where_to_put_it(home: Path):
     with pytest.raises(MissingWeightsError) as caught:
         weights_path("vggt-1b")
@@ -45,23 +67,33 @@ def test_missing_weights_say_what_to_fetch_and_where_to_put_it(home: Path):
         weights_path("vggt-2b")
 
 
-def test_a_file_put_there_by_hand_is_accepted_and_its_hash_recorded():
+def test_a_file_that_nothing_vouches_for_is_used_only_after_somebody_said_so(unpinned):
     path = put("vggt-1b")
+    for check in (weights_path, lambda name: cache_module.check_file(unpinned, path, anew=True)):
+        with pytest.raises(ValueError, match=r"which SHA-256 vggt-1b must have.*--trust-first-use"):
+            check("vggt-1b")
+    assert not cache_module.record_place(path).exists()
+    cache_module.check_file(unpinned, path, trust_first_use=True)
     assert weights_path("vggt-1b") == path
+
+
+def test_a_trusted_files_hash_is_recorded(unpinned):
+    path = put("vggt-1b")
+    cache_module.check_file(unpinned, path, trust_first_use=True)
     record = json.loads(cache_module.record_place(path).read_text())
     assert record["sha256"] == hashlib.sha256(b"weights").hexdigest()
     assert record["origin"] == "by hand"
 
 
-def test_a_file_that_changed_after_it_was_first_seen_is_refused():
+def test_a_file_that_changed_after_it_was_first_seen_is_refused(unpinned):
     path = put("vggt-1b")
-    weights_path("vggt-1b")
+    cache_module.check_file(unpinned, path, trust_first_use=True)
     path.write_bytes(b"others!")
     os.utime(path, ns=(1, 1))
     with pytest.raises(ValueError, match=r"SHA-256 is .* recorded as .* delete it and its record"):
         weights_path("vggt-1b")
-    cache_module.record_place(path).unlink()
-    assert weights_path("vggt-1b") == path
+    with pytest.raises(ValueError, match="recorded as"):
+        cache_module.check_file(unpinned, path, trust_first_use=True)
 
 
 def test_a_file_whose_hash_is_known_must_have_it(monkeypatch: pytest.MonkeyPatch):
@@ -73,9 +105,9 @@ def test_a_file_whose_hash_is_known_must_have_it(monkeypatch: pytest.MonkeyPatch
     assert weights_path("lpips-vgg16").is_file()
 
 
-def test_an_untouched_file_is_read_once(monkeypatch: pytest.MonkeyPatch):
+def test_an_untouched_file_is_read_once(monkeypatch: pytest.MonkeyPatch, unpinned):
     path = put("vggt-1b")
-    weights_path("vggt-1b")
+    cache_module.check_file(unpinned, path, trust_first_use=True)
     monkeypatch.setattr(cache_module, "sha256_of", lambda path: pytest.fail("read again"))
     assert weights_path("vggt-1b") == path
 

@@ -13,20 +13,25 @@ import pytest
 from instok3d.errors import MissingWeightsError
 from instok3d.weights import download
 from instok3d.weights.cache import place_of, record_place
-from instok3d.weights.catalogue import PackageFile, find_entry
+from instok3d.weights.catalogue import HubFiles, PackageFile, find_entry
 
 WEIGHTS = b"a network"
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
 COMMIT = "c0ffee"
+PINNED = replace(find_entry("vggt-1b"), sha256=sha256(WEIGHTS))
+UNPINNED = replace(PINNED, sha256=None, source=HubFiles("facebook/VGGT-1B"))
+"""Nobody states its commit and its hash."""
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("INSTOK3D_HOME", str(tmp_path))
     return tmp_path
-
-
-def sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def fake_hub(monkeypatch: pytest.MonkeyPatch, *, stated: str = sha256(WEIGHTS), fail: str = ""):
@@ -42,7 +47,7 @@ def fake_hub(monkeypatch: pytest.MonkeyPatch, *, stated: str = sha256(WEIGHTS), 
 
     metadata = SimpleNamespace(commit_hash=COMMIT, etag=stated, size=len(WEIGHTS))
     hub = SimpleNamespace(
-        hf_hub_url=lambda repository, file: f"{repository}/{file}",
+        hf_hub_url=lambda repository, file, *, revision: f"{repository}/{revision}/{file}",
         get_hf_file_metadata=lambda url: metadata,
         hf_hub_download=fetch,
     )
@@ -56,21 +61,34 @@ def silent(line: str) -> None:
 
 def test_what_the_hub_gives_is_checked_recorded_and_put_in_place(monkeypatch, home):
     asked = fake_hub(monkeypatch)
-    place = download.pull_from_hub(find_entry("vggt-1b"), silent)
+    place = download.pull_from_hub(PINNED, silent)
     assert place == home / "weights" / "vggt-1b" / "model.safetensors"
     assert place.read_bytes() == WEIGHTS
     assert (place.parent / "config.json").is_file()
-    assert asked == [("facebook/VGGT-1B", name, COMMIT) for name in ("config.json", place.name)]
+    pinned = PINNED.source.revision
+    assert asked == [("facebook/VGGT-1B", name, pinned) for name in ("config.json", place.name)]
     record = json.loads(record_place(place).read_text())
     assert record["sha256"] == sha256(WEIGHTS)
-    assert record["origin"] == f"hub facebook/VGGT-1B {COMMIT}"
+    assert record["origin"] == f"hub facebook/VGGT-1B {pinned}"
     assert not (place.parent / ".part").exists()
+
+
+def test_what_cannot_be_checked_is_not_even_asked_for_unless_somebody_trusts_it(monkeypatch, home):
+    asked, said = fake_hub(monkeypatch), []
+    with pytest.raises(ValueError, match=r"which SHA-256 vggt-1b must have.*--trust-first-use"):
+        download.pull_from_hub(UNPINNED, said.append)
+    assert asked == said == []
+    assert list(home.iterdir()) == []
+    place = download.pull_from_hub(UNPINNED, said.append, trust_first_use=True)
+    assert "taken as it comes" in said[0]
+    assert {revision for _, _, revision in asked} == {COMMIT}
+    assert json.loads(record_place(place).read_text())["sha256"] == sha256(WEIGHTS)
 
 
 def test_what_differs_from_the_hubs_own_hash_is_thrown_away(monkeypatch):
     fake_hub(monkeypatch, stated=sha256(b"another"))
     with pytest.raises(ValueError, match="thrown away, pull again"):
-        download.pull_from_hub(find_entry("vggt-1b"), silent)
+        download.pull_from_hub(UNPINNED, silent, trust_first_use=True)
     place = place_of(find_entry("vggt-1b"))
     assert not place.exists()
     assert not (place.parent / ".part" / place.name).exists()

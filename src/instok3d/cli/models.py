@@ -17,7 +17,7 @@ COMMANDS = {
 }
 """Subcommands of `instok3d models`."""
 
-UNKNOWN = "unknown: recorded at the first pull"
+UNKNOWN = "nobody states it: recorded at the first pull, which needs --trust-first-use"
 
 
 def subcommand(name: str) -> Callable[..., None]:
@@ -44,14 +44,20 @@ def list_models(json: bool = False) -> None:
             print(f"    {name.replace('_', ' '):14} {row[name]}")
 
 
-def pull(names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...")], /) -> None:
+def pull(
+    names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...")],
+    /,
+    trust_first_use: bool = False,
+) -> None:
     """Fetch weights into the cache, check them, and print where they lie.
 
     Args:
         names: As `instok3d models list` shows them; lpips stands for both networks of LPIPS.
+        trust_first_use: Take weights as they come whose SHA-256 nobody states; it is recorded, and
+            the file must keep it.
     """
     from instok3d.weights import find_entries
-    from instok3d.weights.cache import check_file, place_of
+    from instok3d.weights.cache import check_can_be_checked, check_file, place_of
     from instok3d.weights.catalogue import PackageFile, Shipped
     from instok3d.weights.download import pull_from_hub, pull_from_packages
 
@@ -62,18 +68,21 @@ def pull(names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME ...")],
     for entry in entries:
         place = place_of(entry)
         if place.is_file():
-            check_file(entry, place, anew=True)
+            check_file(entry, place, anew=True, trust_first_use=trust_first_use)
             _say(f"{entry.name} is already here, unharmed; nothing was fetched")
         elif isinstance(entry.source, Shipped):
             raise FileNotFoundError(f"{entry.name} comes with the package: reinstall instok3d")
         else:
             missing.append(entry)
+    for entry in missing:  # before anything is fetched
+        if not trust_first_use:
+            check_can_be_checked(entry)
     packed = [entry for entry in missing if isinstance(entry.source, PackageFile)]
     if packed:
         pull_from_packages(packed, _convert_lpips)
     for entry in missing:
         if entry not in packed:
-            pull_from_hub(entry, _say)
+            pull_from_hub(entry, _say, trust_first_use=trust_first_use)
     for entry in entries:
         print(place_of(entry))
 
@@ -133,7 +142,8 @@ def _row(entry: "WeightsEntry") -> dict[str, Any]:
     origin = "comes with the package"
     if isinstance(source, HubFiles):
         gated = ", access on request" if source.gated else ""
-        origin = f"{source.file} of {source.repository} on the Hugging Face hub{gated}"
+        commit = f" at {source.revision}" if source.revision else ""
+        origin = f"{source.file} of {source.repository}{commit} on the Hugging Face hub{gated}"
     elif isinstance(source, PackageFile):
         origin = f"{source.member} of {source.requirement} from the Python package index"
     return {

@@ -36,7 +36,7 @@ def weights_path(name: str) -> Path:
     """The file of weights of that name in the catalogue, checked.
 
     A file put there by hand counts like one that was pulled. Its SHA-256 must be the catalogue's;
-    where the catalogue has none it must stay what it was when it was first seen.
+    where the catalogue has none, that which was recorded when a user took it as it came.
 
     Raises:
         KeyError: The catalogue has no such name.
@@ -77,9 +77,10 @@ def by_hand(entry: WeightsEntry) -> str:
     if isinstance(source, HubFiles):
         beside = "".join(f" and {name}" for name in source.companions)
         gate = ", after requesting access there," if source.gated else ""
+        commit = f" at {source.revision}" if source.revision else ""
         return (
-            f"fetch {source.file}{beside} of the repository {source.repository} on the Hugging "
-            f"Face hub{gate} and put them into {folder}"
+            f"fetch {source.file}{beside} of the repository {source.repository}{commit} on the "
+            f"Hugging Face hub{gate} and put them into {folder}"
         )
     if isinstance(source, PackageFile):
         return (
@@ -89,8 +90,27 @@ def by_hand(entry: WeightsEntry) -> str:
     return f"reinstall instok3d: there is no {place_of(entry)}"
 
 
+def check_can_be_checked(entry: WeightsEntry) -> None:
+    """Fail for weights whose SHA-256 nobody states, and say how to take them all the same.
+
+    Raises:
+        ValueError: The catalogue has no hash, and they do not come with the package.
+    """
+    if entry.sha256 is None and not isinstance(entry.source, Shipped):
+        raise ValueError(
+            f"nobody states which SHA-256 {entry.name} must have, so it cannot be checked: to take "
+            f"it as it comes, run 'instok3d models pull {entry.name} --trust-first-use'; its hash "
+            "is then recorded beside it, and the file must keep it"
+        )
+
+
 def check_file(
-    entry: WeightsEntry, path: Path, *, origin: str = "by hand", anew: bool = False
+    entry: WeightsEntry,
+    path: Path,
+    *,
+    origin: str = "by hand",
+    anew: bool = False,
+    trust_first_use: bool = False,
 ) -> str:
     """Make sure of a file that is there, and remember it; gives its SHA-256.
 
@@ -99,11 +119,15 @@ def check_file(
         path: The file.
         origin: Where it came from, for the record of a file that has none yet.
         anew: Read the file even if it looks untouched since it was recorded.
+        trust_first_use: Take a file as it is that nobody states a hash of and that has no record.
 
     Raises:
-        ValueError: Its SHA-256 is not the catalogue's, or not the recorded one.
+        ValueError: Its SHA-256 is not the catalogue's, or not the recorded one; or there is neither
+            and the file is not trusted.
     """
     record, stat = read_record(path), path.stat()
+    if record is None and not trust_first_use:
+        check_can_be_checked(entry)
     untouched = record is not None and (record.bytes, record.modified_ns) == (
         stat.st_size,
         stat.st_mtime_ns,

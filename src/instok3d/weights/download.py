@@ -15,34 +15,45 @@ from typing import Any
 
 from instok3d.errors import MissingWeightsError
 from instok3d.files import replacing, sha256_of
-from instok3d.weights.cache import by_hand, check_file, place_of
+from instok3d.weights.cache import by_hand, check_can_be_checked, check_file, place_of
 from instok3d.weights.catalogue import HubFiles, PackageFile, WeightsEntry
 
 
-def pull_from_hub(entry: WeightsEntry, say: Callable[[str], None]) -> Path:
-    """Fetch the files of an entry from the hub into the cache.
+def pull_from_hub(
+    entry: WeightsEntry, say: Callable[[str], None], *, trust_first_use: bool = False
+) -> Path:
+    """Fetch the files of an entry from the hub into the cache, at the catalogue's commit.
 
     A download that was cut goes on where it stopped. The weights stand at their place only when
     their SHA-256 is that of the catalogue, or for want of one that which the hub states.
 
+    Args:
+        entry: Its source is a repository of the hub.
+        say: Takes a line about what is fetched.
+        trust_first_use: Take weights as they come of which the catalogue has no hash.
+
     Raises:
         MissingWeightsError: The hub cannot be reached or refuses; says what to fetch by hand.
-        ValueError: What came is not what was stated.
+        ValueError: What came is not what was stated, or the catalogue has no hash of it and it is
+            not trusted; nothing is asked for then.
         OSError: The disk is too small for it.
     """
     source, place = entry.source, place_of(entry)
     assert isinstance(source, HubFiles)
+    if not trust_first_use:
+        check_can_be_checked(entry)
     hub = _hub(entry)
     part = place.parent / ".part"
     with _made(place.parent):
         try:
-            stated = hub.get_hf_file_metadata(hub.hf_hub_url(source.repository, source.file))
+            url = hub.hf_hub_url(source.repository, source.file, revision=source.revision)
+            stated = hub.get_hf_file_metadata(url)
+            commit = source.revision or stated.commit_hash
             _check_space(place.parent, stated.size or entry.size_bytes)
-            say(f"{entry.name}: {source.file} of {source.repository} at {stated.commit_hash}")
+            known = f"SHA-256 {entry.sha256}" if entry.sha256 else "taken as it comes, unchecked"
+            say(f"{entry.name}: {source.file} of {source.repository} at {commit}, {known}")
             for file in (*source.companions, source.file):
-                hub.hf_hub_download(
-                    source.repository, file, revision=stated.commit_hash, local_dir=part
-                )
+                hub.hf_hub_download(source.repository, file, revision=commit, local_dir=part)
         except Exception as error:  # which errors there are depends on the hub's HTTP library
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise
@@ -60,7 +71,12 @@ def pull_from_hub(entry: WeightsEntry, say: Callable[[str], None]) -> Path:
     for file in (*source.companions, source.file):
         (part / file).replace(place.parent / file)
     shutil.rmtree(part)
-    check_file(entry, place, origin=f"hub {source.repository} {stated.commit_hash}")
+    check_file(
+        entry,
+        place,
+        origin=f"hub {source.repository} {commit}",
+        trust_first_use=trust_first_use,
+    )
     return place
 
 
