@@ -8,17 +8,18 @@ import struct
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from safetensors import SafetensorError
 
 UNREADABLE = (
     *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError),
     *(AssertionError, EOFError, SyntaxError, OSError, struct.error, zlib.error, tarfile.TarError),
-    *(zipfile.BadZipFile, pickle.UnpicklingError, SafetensorError),
+    *(zipfile.BadZipFile, pickle.UnpicklingError, SafetensorError, Image.DecompressionBombError),
 )
 """What decoders raise for damaged files."""
 
@@ -130,6 +131,17 @@ def number(value: Any) -> float:
     if type(value) not in (int, float):
         raise ValueError(f"{reprlib.repr(value)} is no number")
     return float(value)
+
+
+def one_of(value: Any, choices: Sequence[Any]) -> Any:
+    """A value of JSON that is one of some.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    if value not in choices:
+        raise ValueError(f"{reprlib.repr(value)} is none of {', '.join(map(repr, choices))}")
+    return value
 
 
 def _integer(text: str) -> int:

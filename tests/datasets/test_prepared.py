@@ -103,7 +103,10 @@ def test_masks_of_a_model_take_the_place_of_the_ids(tmp_path: Path):
         ([DroppedFrame("0", "no pose")] * 2, "dropped: 2 with no pose"),
         ([made_frame(0), made_frame(1, (8, 6))], "frame 10 of scene .* must agree in height"),
         ([made_frame(0), made_frame(1, layers=("depths",))], "kinds of pictures"),
-        ([replace(made_frame(0), intrinsics=np.full((3, 3), np.nan))], "camera that is not finite"),
+        (
+            [replace(made_frame(0), intrinsics=np.full((3, 3), np.nan))],
+            "that are not finite",
+        ),
     ],
 )
 def test_a_scene_that_cannot_be_written_leaves_nothing(tmp_path: Path, frames: list, message: str):
@@ -214,7 +217,7 @@ def test_a_damaged_picture_is_named_when_it_is_read(tmp_path: Path):
     source = PreparedScenes(made_folder(tmp_path, {"a": "train"}))
     (tmp_path / "a/images/000001.png").write_bytes(b"no picture")
     assert source.frames(0, [0]).images.shape == (1, 6, 8, 3)
-    with pytest.raises(ValueError, match=r"images/000001\.png is missing or damaged"):
+    with pytest.raises(ValueError, match=r"images/000001\.png is damaged"):
         source.frames(0, [1])
     with pytest.raises(IndexError, match=r"has 5 frames, asked for \[5\]"):
         source.frames(0, [0, 5])

@@ -67,7 +67,7 @@ INDEX_DAMAGE = {
     "is no name of a shard": changed(lambda i: i["shards"].update({"../x": record(i)})),
     "seeds that stand twice": changed(lambda i: record(i)["seeds"].append(4)),
     "not one level for each seed": changed(lambda i: record(i)["levels"].pop()),
-    "has the level 'x'": changed(lambda i: record(i)["levels"].__setitem__(0, "x")),
+    "'x' is none of": changed(lambda i: record(i)["levels"].__setitem__(0, "x")),
     "a value in it is of another kind": changed(lambda i: i.update(shards=[])),
 }
 
@@ -90,14 +90,14 @@ SHARD_DAMAGE = {
     "frame 5 of seed 4 has a pose that is not finite": ("world_from_cam", (5, 0, 0), np.nan),
     "has a pose whose rotation is not orthonormal": ("world_from_cam", (5, 0, 0), 3),
     "stands 1e.30 units from": ("world_from_cam", (5, 0, 3), 1e30),
-    "has the focal lengths -1 and": ("intrinsics", (5, 0, 0), -1),
+    "has the focal length -1": ("intrinsics", (5, 0, 0), -1),
     "below the diagonal": ("intrinsics", (5, 1, 0), 3),
 }
 OTHER_ROOMS = {
     "has not the seeds that the index says": noise_scene(5),
     r"images is U8 \[1, 16, 8, 8, 3\], wanted U8 \(1, 16, 16, 16, 3\)": noise_scene(4, 8),
     "intrinsics is F64": replace(noise_scene(4), intrinsics=np.ones((16, 3, 3))),
-    "it has the level 'x'": replace(noise_scene(4), meta=noise_scene(4).meta | {"level": "x"}),
+    "'x' is none of": replace(noise_scene(4), meta=noise_scene(4).meta | {"level": "x"}),
 } | {reason: changed_scene(*change) for reason, change in SHARD_DAMAGE.items()}
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from instok3d.files import write_json, write_safetensors
 from instok3d.geometry.checks import check_intrinsics, rigid_fault
-from instok3d.reading import naming_damage, parse_json, read_json, whole_number
+from instok3d.reading import naming_damage, one_of, parse_json, read_json, whole_number
 from instok3d.rooms.camera_path import FRAMES
 from instok3d.rooms.levels import LEVELS
 from instok3d.rooms.scene import RenderedScene
@@ -102,8 +102,8 @@ def _check_records(shards: dict[str, dict[str, list]]) -> None:
         known |= set(seeds)
         if len(record["levels"]) != len(record["seeds"]):
             raise ValueError(f"{name} has not one level for each seed")
-        if wrong := [level for level in record["levels"] if level not in LEVELS]:
-            raise ValueError(f"{name} has the level {reprlib.repr(wrong[0])}")
+        for level in record["levels"]:
+            one_of(level, tuple(LEVELS))
 
 
 class Shard:
@@ -128,8 +128,7 @@ class Shard:
             if [meta["seed"] for meta in metas] != seeds:
                 raise ValueError("it has not the seeds that the index says")
             for meta in metas:
-                if meta["level"] not in LEVELS:
-                    raise ValueError(f"it has the level {reprlib.repr(meta['level'])}")
+                one_of(meta["level"], tuple(LEVELS))
             self.metas: list[dict[str, Any]] = metas
             picture = (len(seeds), frames, resolution, resolution)
             self._check("images", "U8", (*picture, 3))

@@ -9,7 +9,6 @@ in the folder, such as previews/, is not read.
 
 import dataclasses
 import os
-import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from instok3d.geometry.camera_json import read_intrinsics, read_pose
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
-from instok3d.reading import naming_damage, number, read_json, text, whole_number
+from instok3d.reading import naming_damage, number, one_of, read_json, text, whole_number
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
@@ -155,13 +154,13 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
     height, width = whole_number(header["height"], 1), whole_number(header["width"], 1)
     if height * width > MAX_PICTURE_PIXELS:
         raise ValueError(f"bad picture size {height} x {width}")
-    _one_of(header["format"], (FORMAT,))
+    one_of(header["format"], (FORMAT,))
     near_far, made = header["near_far"], header["provenance"]
     return {
         "height": height,
         "width": width,
-        "units": _one_of(header["units"], ("metres", "arbitrary")),
-        "frame": _one_of(header["frame"], ("first camera", "given cameras")),
+        "units": one_of(header["units"], ("metres", "arbitrary")),
+        "frame": one_of(header["frame"], ("first camera", "given cameras")),
         "vertical": Vertical.from_json(header["vertical"]) if "vertical" in header else None,
         "near_far": near_far if near_far == FROM_GAUSSIANS else _near_far(near_far),
         "warnings": tuple(text(line) for line in header["warnings"]),
@@ -384,12 +383,6 @@ def _read_photos(
 
 def _photo_path(folder: Path, index: int) -> Path:
     return folder / f"{index:03d}.png"
-
-
-def _one_of(value: Any, choices: tuple[str, ...]) -> Any:
-    if value not in choices:
-        raise ValueError(f"{reprlib.repr(value)} is none of {choices}")
-    return value
 
 
 def _write_json(file: Path, value: Any) -> None:

@@ -1,6 +1,7 @@
 """What a prepared scene consists of, and the scene.json that says so."""
 
-import json
+import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -8,8 +9,16 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
+from instok3d.datasets.poses import ROTATION_TOLERANCE
+from instok3d.geometry.camera_json import read_intrinsics, read_pose
+from instok3d.reading import naming_damage, one_of, read_json, text, whole_number
+
 FORMAT = "instok3d-scene-1"
 RECORD = "scene.json"
+LAYERS = ("images", "depths", "instances", "labels")
+"""Folders of pictures in a scene; each but the first may be missing."""
+MAX_PIXELS = 2**26
+"""Sizes beyond are taken for damage before anything is allocated."""
 
 Dataset = Literal["scannet", "re10k", "mipnerf360", "colmap", "footage"]
 Split = Literal["train", "val", "test"]
@@ -17,9 +26,15 @@ Unit = Literal["metre", "arbitrary"]
 """Of cameras and depths; depths are stored in thousandths of it."""
 
 
+MAX_NAME_BYTES = 200
+"""Of a scene; file systems take 255."""
+
+
 def can_name_a_scene(name: str) -> bool:
     """Whether a scene and its folder may have this name."""
-    return bool(name) and not name.startswith(".") and not {"/", "\\", "\0"} & set(name)
+    if not name or name.startswith(".") or len(name.encode(errors="replace")) > MAX_NAME_BYTES:
+        return False
+    return all(character not in "/\\" and ord(character) >= 32 for character in name)
 
 
 @dataclass(frozen=True)
@@ -98,33 +113,39 @@ def read_scene(folder: Path) -> SceneRecord:
 
     Raises:
         FileNotFoundError: It has no scene.json.
-        ValueError: The scene.json is damaged or of another format.
+        ValueError: The scene.json is damaged, of another format, or of cameras that cannot be.
     """
     path = folder / RECORD
     remedy = f"delete the folder {folder} and prepare it again"
-    record = read_json(path, FORMAT, remedy)
-    try:
-        info = SceneInfo(
-            **{key: record[key] for key in ("name", "dataset", "split", "unit", "settings")}
-        )
-        frames = record["frames"]
+    record = read_record(path, FORMAT, remedy)
+    with naming_damage(path, remedy):
+        height, width = whole_number(record["height"], 1), whole_number(record["width"], 1)
+        if height * width > MAX_PIXELS:
+            raise ValueError(f"pictures of {height} x {width} are too large")
+        poses, intrinsics = _cameras(record["frames"], height, width)
+        files = {
+            name: (whole_number(size), text(sha)) for name, (size, sha) in record["files"].items()
+        }
+        _check_files(files, len(record["frames"]))
         return SceneRecord(
-            info=info,
-            height=int(record["height"]),
-            width=int(record["width"]),
-            sources=tuple(str(frame["source"]) for frame in frames),
-            world_from_cam=_matrices([frame["world_from_cam"] for frame in frames], 4),
-            intrinsics=_matrices([frame["intrinsics"] for frame in frames], 3),
-            dropped={str(reason): int(count) for reason, count in record["dropped"].items()},
-            files={
-                str(name): (int(size), str(sha)) for name, (size, sha) in record["files"].items()
-            },
+            info=SceneInfo(
+                text(record["name"]),
+                one_of(record["dataset"], get_args(Dataset)),
+                one_of(record["split"], get_args(Split)),
+                one_of(record["unit"], get_args(Unit)),
+                dict(record["settings"]),
+            ),
+            height=height,
+            width=width,
+            sources=tuple(text(frame["source"]) for frame in record["frames"]),
+            world_from_cam=poses,
+            intrinsics=intrinsics,
+            dropped={reason: whole_number(count) for reason, count in record["dropped"].items()},
+            files=files,
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f"{path} is damaged ({error}); {remedy}") from error
 
 
-def read_json(path: Path, wanted: str, remedy: str) -> dict[str, Any]:
+def read_record(path: Path, wanted: str, remedy: str) -> dict[str, Any]:
     """A JSON object that says it has the wanted format.
 
     Args:
@@ -136,21 +157,48 @@ def read_json(path: Path, wanted: str, remedy: str) -> dict[str, Any]:
         FileNotFoundError: There is no such file.
         ValueError: It is damaged or of another format.
     """
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no file {path}") from error
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged ({error}); {remedy}") from error
-    if not isinstance(value, dict) or value.get("format") != wanted:
-        raise ValueError(f"{path} is not of the format {wanted}; {remedy}")
+    value = read_json(path, remedy)
+    found = value.get("format") if isinstance(value, dict) else None
+    if found != wanted:
+        raise ValueError(
+            f"{path} is damaged (its format is {reprlib.repr(found)}, not {wanted}); {remedy}"
+        )
     return value
 
 
-def _matrices(rows: list[Any], size: int) -> np.ndarray | None:
-    if rows and all(row is None for row in rows):
-        return None
-    matrices = np.array(rows, dtype=np.float64).reshape(len(rows), size, size)
-    if not np.isfinite(matrices).all():
-        raise ValueError("a camera is not finite")
-    return matrices
+def check_camera(pose: Any, intrinsics: Any, *, where: str, height: int, width: int) -> None:
+    """Refuse a camera that no prepared scene may have.
+
+    Args:
+        pose: World_from_cam as lists of numbers.
+        intrinsics: Likewise.
+        where: File and frame, the subject of the message.
+        height: Of the frame, pixels.
+        width: Likewise.
+
+    Raises:
+        ValueError: It cannot be a camera.
+    """
+    read_pose(pose, where=where, tolerance=ROTATION_TOLERANCE)
+    read_intrinsics(intrinsics, where=where, height=height, width=width)
+
+
+def _cameras(
+    frames: list[dict[str, Any]], height: int, width: int
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The matrices of all frames, checked; None where no frame has them."""
+    pairs = [(frame["world_from_cam"], frame["intrinsics"]) for frame in frames]
+    if pairs and all(pair == (None, None) for pair in pairs):
+        return None, None
+    for number, pair in enumerate(pairs):
+        check_camera(*pair, where=f"frame {number}", height=height, width=width)
+    poses = np.array([pose for pose, _ in pairs], np.float64).reshape(-1, 4, 4)
+    return poses, np.array([matrix for _, matrix in pairs], np.float64).reshape(-1, 3, 3)
+
+
+def _check_files(files: Mapping[str, object], num_frames: int) -> None:
+    """Fail unless every frame has one file in each folder of the scene."""
+    layers = {name.partition("/")[0] for name in files}
+    wanted = {f"{layer}/{k:06d}.png" for layer in layers | {"images"} for k in range(num_frames)}
+    if not layers <= set(LAYERS) or files.keys() != wanted:
+        raise ValueError(f"its files are not one for each of its {num_frames} frames")

@@ -1,10 +1,19 @@
 """The index of a prepared folder; it only repeats what the scenes say."""
 
+import reprlib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from instok3d.datasets.prepared.format import RECORD, read_json, read_scene
+from instok3d.datasets.prepared.format import (
+    RECORD,
+    Dataset,
+    Split,
+    can_name_a_scene,
+    read_record,
+    read_scene,
+)
 from instok3d.files import sha256_of, write_json
+from instok3d.reading import naming_damage, one_of, text, whole_number
 
 INDEX_FORMAT = "instok3d-scenes-1"
 INDEX = "scenes.json"
@@ -22,7 +31,7 @@ def refresh_index(folder: Path) -> dict[str, Any]:
         ValueError: A scene's record is damaged.
     """
     try:
-        known = read_json(folder / INDEX, INDEX_FORMAT, "")["scenes"]
+        known = read_record(folder / INDEX, INDEX_FORMAT, "")["scenes"]
     except (FileNotFoundError, ValueError, KeyError):
         known = {}  # everything in it is derived from the folders
     scenes, datasets = {}, set()
@@ -62,10 +71,19 @@ def read_index(folder: Path) -> dict[str, dict[str, Any]]:
             "`instok3d data verify --index` where scenes lie there already"
         )
     remedy = f"run `instok3d data verify --index {folder}`"
-    scenes = read_json(folder / INDEX, INDEX_FORMAT, remedy).get("scenes")
-    wanted = {"split", "num_frames", "sha256"}
-    if not isinstance(scenes, dict) or not all(
-        isinstance(scene, dict) and wanted <= scene.keys() for scene in scenes.values()
-    ):
-        raise ValueError(f"{folder / INDEX} is damaged; {remedy}")
-    return scenes
+    index = read_record(folder / INDEX, INDEX_FORMAT, remedy)
+    with naming_damage(folder / INDEX, remedy):
+        for name, entry in index["scenes"].items():
+            _check_entry(name, entry)
+    return index["scenes"]
+
+
+def _check_entry(name: str, entry: dict[str, Any]) -> None:
+    if not can_name_a_scene(name):
+        raise ValueError(f"{reprlib.repr(name)} is no name of a scene")
+    one_of(entry["dataset"], get_args(Dataset))
+    one_of(entry["split"], get_args(Split))
+    whole_number(entry["num_frames"])
+    text(entry["sha256"])
+    if not isinstance(entry.get("cameras", True), bool):
+        raise ValueError(f"{name} does not say whether it has cameras")

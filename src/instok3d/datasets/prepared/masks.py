@@ -1,9 +1,12 @@
 """The masks.json beside id maps that a model made (`instok3d data masks`)."""
 
-import json
+import reprlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from instok3d.datasets.prepared.format import can_name_a_scene, read_record
+from instok3d.reading import naming_damage, text, whole_number
 
 MASKS_FORMAT = "instok3d-masks-1"
 MASKS_RECORD = "masks.json"
@@ -30,20 +33,17 @@ def read_masks_record(folder: Path) -> MasksRecord:
         ValueError: It is damaged or of another format.
     """
     path = folder / MASKS_RECORD
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record["format"] != MASKS_FORMAT:
-            raise ValueError(f"the format is {record['format']}, not {MASKS_FORMAT}")
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no {MASKS_RECORD} in {folder}")
+    remedy = "make the masks again with `instok3d data masks --overwrite`"
+    record = read_record(path, MASKS_FORMAT, remedy)
+    with naming_damage(path, remedy):
         others = ("format", "instok3d", "statistics", "files")
+        files = {n: (whole_number(size), text(sha)) for n, (size, sha) in record["files"].items()}
+        if outside := [name for name in files if not can_name_a_scene(name)]:
+            raise ValueError(f"{reprlib.repr(outside[0])} is no name of a file in its folder")
         return MasksRecord(
             settings={key: value for key, value in record.items() if key not in others},
             statistics=dict(record["statistics"]),
-            files={str(name): (int(n), str(sha)) for name, (n, sha) in record["files"].items()},
+            files=files,
         )
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no {MASKS_RECORD} in {folder}") from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(
-            f"{path} is damaged ({error!r}); make the masks again with `instok3d data masks "
-            "--overwrite`"
-        ) from error

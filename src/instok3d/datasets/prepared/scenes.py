@@ -15,6 +15,7 @@ from instok3d.data.scenes import SceneFrames
 from instok3d.datasets.prepared.format import SceneRecord, Split, read_scene
 from instok3d.datasets.prepared.index import read_index
 from instok3d.datasets.prepared.masks import MADE_BY, read_masks_record
+from instok3d.reading import naming_damage
 
 
 class PreparedScenes:
@@ -50,7 +51,7 @@ class PreparedScenes:
                 "they serve for masks alone: delete them, or prepare them again with cameras"
             )
         self._names = tuple(name for name, _ in kept)
-        self._counts = tuple(int(entry["num_frames"]) for _, entry in kept)
+        self._counts = tuple(entry["num_frames"] for _, entry in kept)
         if masks is not None:
             self._check_masks(masks)
 
@@ -67,7 +68,14 @@ class PreparedScenes:
 
     def record(self, number: int) -> SceneRecord:
         """What scene.json says of scene `number`."""
-        return _cached_scene(self.folder / self._names[number])
+        record = _cached_scene(self.folder / self._names[number])
+        if len(record.sources) != self._counts[number]:
+            raise ValueError(
+                f"{self.folder / self._names[number]} has {len(record.sources)} frames, the index "
+                f"of the folder says {self._counts[number]}; run `instok3d data verify --index "
+                f"{self.folder}`"
+            )
+        return record
 
     def frames(self, number: int, chosen: Sequence[int]) -> SceneFrames:
         """These frames of scene `number`; only their files are read.
@@ -84,10 +92,10 @@ class PreparedScenes:
             raise IndexError(f"{folder} has {len(record.sources)} frames, asked for {missing}")
         if record.world_from_cam is None or record.intrinsics is None:
             raise ValueError(f"{folder} has no cameras")
-        ids = self._layer(record, folder, self._id_layer, chosen)
-        depths = self._layer(record, folder, "depths", chosen)
         shape = (len(chosen), record.height, record.width)
         images = [_read_png(folder, "images", k, (*shape[1:], 3)) for k in chosen]
+        ids = self._layer(record, folder, self._id_layer, chosen)
+        depths = self._layer(record, folder, "depths", chosen)
         return SceneFrames(
             name=self._names[number],
             images=torch.from_numpy(np.stack(images))
@@ -151,14 +159,13 @@ def _cached_scene(folder: Path) -> SceneRecord:
 
 def _read_png(folder: Path, layer: str, number: int, shape: tuple[int, ...]) -> np.ndarray:
     path = folder / layer / f"{number:06d}.png"
-    try:
-        with Image.open(path, formats=["PNG"]) as image:
-            pixels = np.asarray(image)
-    except (OSError, SyntaxError, EOFError, ValueError) as error:
-        raise ValueError(
-            f"{path} is missing or damaged ({error}); `instok3d data verify {folder.parent}` "
-            "finds all that is"
-        ) from error
+    remedy = f"`instok3d data verify {folder.parent}` finds all that is"
+    if not path.is_file():
+        raise ValueError(f"{path} is missing; {remedy}")
+    with naming_damage(path, remedy), Image.open(path, formats=["PNG"]) as image:
+        if image.size != (shape[1], shape[0]):  # seen before anything large is decoded
+            raise ValueError(f"{path} has the size {image.size}, its scene says {shape}")
+        pixels = np.asarray(image)
     if pixels.shape != shape:
         raise ValueError(f"{path} has the shape {pixels.shape}, its scene says {shape}")
     return pixels

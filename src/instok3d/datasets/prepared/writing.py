@@ -16,6 +16,7 @@ from instok3d.datasets.prepared.format import (
     PreparedFrame,
     SceneInfo,
     SceneRecord,
+    check_camera,
     read_scene,
 )
 from instok3d.files import replacing_folder, sha256_of, write_json
@@ -36,8 +37,8 @@ def write_scene(
 
     Raises:
         FileExistsError: The scene is there already.
-        ValueError: No frame is left, frames differ in size or in what they have, or a camera is
-            not finite.
+        ValueError: No frame is left, frames differ in size or in what they have, or a camera
+            cannot be.
     """
     target = folder / info.name
     if target.exists():
@@ -95,9 +96,12 @@ def _checked_layers(
                 f"frame {frame.source} of scene {scene}: its {name} have the size "
                 f"{pixels.shape[:2]}, its image {frame.image.shape[:2]}"
             )
-    cameras = (frame.world_from_cam, frame.intrinsics)
-    if not all(matrix is None or np.isfinite(matrix).all() for matrix in cameras):
-        raise ValueError(f"frame {frame.source} of scene {scene} has a camera that is not finite")
+    if frame.world_from_cam is not None or frame.intrinsics is not None:
+        check_camera(
+            _rows(frame.world_from_cam), _rows(frame.intrinsics),
+            where=f"frame {frame.source} of scene {scene}",
+            height=frame.image.shape[0], width=frame.image.shape[1],
+        )  # fmt: skip
     return layers
 
 
