@@ -11,10 +11,12 @@ import pytest
 import torch
 from PIL import Image
 
+from instok3d.datasets import re10k
 from instok3d.datasets.preparation import PreparationReport, plan_preparation, prepare
 from instok3d.datasets.prepared import read_scene, verify
 from instok3d.datasets.re10k import Re10kSource, read_camera_file, read_chunk
 from instok3d.geometry.cameras import project, transform_points
+from mutations import of_bytes, of_zip, survive
 
 FX, FY = 0.5, 0.5 * 640 / 360
 
@@ -257,6 +259,89 @@ def test_one_bad_clip_is_reported_and_the_others_go_on(tmp_path):
     assert "lacks the clip e5" in report.failed["e5"]
 
 
+def one_value(size: int, dtype: torch.dtype) -> torch.Tensor:
+    """A tensor that claims many values and stores one."""
+    return torch.zeros(1, dtype=dtype).expand(size)
+
+
+STRANGE: dict[str, dict[str, Any]] = {
+    "cameras of complex numbers": {"cameras": torch.ones(4, 18, dtype=torch.complex64)},
+    "sparse cameras": {"cameras": torch.ones(4, 18).to_sparse()},
+    "cameras of none but 18": {"cameras": torch.ones(18)},
+    "no cameras": {"cameras": None},
+    "an image of one byte": {"images": [one_value(10**12, torch.uint8)] * 4},
+    "empty images": {"images": [torch.zeros(0, dtype=torch.uint8)] * 4},
+    "images that are none": {"images": [None] * 4},
+    "no numbers": {"cameras": torch.full((4, 18), math.nan)},
+    "huge numbers": {"cameras": torch.tensor([camera(k) for k in range(4)]) * 1e30},
+    "far away": {"cameras": torch.tensor([[*camera(0)[:9], 1e20, *camera(0)[10:]]] * 4)},
+}
+
+
+@pytest.mark.parametrize("with_index", [True, False])
+def test_one_strange_clip_of_any_kind_is_left_out_with_a_reason(tmp_path, with_index):
+    strange = [clip(name, **changed) for name, changed in STRANGE.items()]
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1"), *strange, clip("z9")]})
+    if not with_index:
+        (tmp_path / "in/train/index.json").unlink()
+    report = prepared(tmp_path / "in", tmp_path / "out")
+    assert report.scenes == 2
+    assert sorted(report.failed) == sorted(STRANGE)
+    assert all("000000.torch" in reason or "no usable frame" in reason
+               for reason in report.failed.values())  # fmt: skip
+    assert not any("\n" in reason for reason in report.failed.values())
+
+
+@pytest.mark.parametrize("key", ["../out", "x" * 300, "a\nb", "\ud800", "a1"])
+def test_a_clip_whose_key_is_no_name_of_its_own_fails_alone(tmp_path, key):
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1")]})
+    write_chunks(tmp_path / "in/test", {"000000.torch": [clip(key), clip("c3")]})
+    for index in (True, False):
+        if not index:
+            for split in ("train", "test"):
+                (tmp_path / "in" / split / "index.json").unlink()
+        elif key == "\ud800":  # no JSON holds it
+            with pytest.raises(ValueError, match=r"index\.json is damaged"):
+                Re10kSource(tmp_path / "in").jobs()
+            continue
+        report = prepared(tmp_path / "in", tmp_path / f"out{index}")
+        assert report.scenes == 2
+        ((name, reason),) = report.failed.items()
+        assert name.startswith("test-000000")
+        assert "cannot name a scene or is that of another clip" in reason
+
+
+def test_an_error_that_nobody_foresaw_ends_its_scene_alone(tmp_path, monkeypatch):
+    write_chunks(tmp_path / "in/train", {"000000.torch": [clip("a1"), clip("b2")]})
+    crop = re10k.crop_image
+
+    def fault(image, pixel_map):
+        if not done:
+            done.append(True)
+            raise ZeroDivisionError("no\nsuch thing")
+        return crop(image, pixel_map)
+
+    done: list[bool] = []
+    monkeypatch.setattr(re10k, "crop_image", fault)
+    report = prepared(tmp_path / "in", tmp_path / "out")
+    assert report.scenes == 1
+    assert report.failed == {"a1": "ZeroDivisionError: no such thing"}
+
+
+@pytest.mark.parametrize(("zipped", "damage"), [(True, of_zip), (False, of_bytes)])
+def test_a_damaged_chunk_is_refused_in_one_line(tmp_path, zipped, damage):
+    file = tmp_path / "000000.torch"
+    rows = [clip("a1", 1, images=[as_tensor(b"jpeg")]), clip("b2", 1, images=[as_tensor(b"")])]
+    torch.save(rows, file, _use_new_zipfile_serialization=zipped)
+
+    def read() -> None:
+        clips = read_chunk(file)
+        for key in clips:
+            re10k._checked_clip(clips[key], file, key)
+
+    assert survive(file, read, damage, 100)
+
+
 def test_an_index_may_be_missing_but_not_lead_outside(tmp_path):
     write_chunks(
         tmp_path / "in/train", {"000000.torch": [clip("a1")], "000001.torch": [clip("b2")]}
@@ -270,7 +355,7 @@ def test_an_index_may_be_missing_but_not_lead_outside(tmp_path):
     with pytest.raises(ValueError, match="which is no name in its folder"):
         Re10kSource(tmp_path / "in").jobs()
     (tmp_path / "in/train/index.json").write_text("{")
-    with pytest.raises(ValueError, match="not valid JSON"):
+    with pytest.raises(ValueError, match="is damaged"):
         Re10kSource(tmp_path / "in").jobs()
 
 

@@ -33,6 +33,7 @@ from instok3d.datasets.prepared import (
 )
 from instok3d.datasets.prepared.format import RECORD
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.reading import UNREADABLE
 
 LOCK = ".lock"
 """Held by the run that prepares scenes into a folder."""
@@ -303,9 +304,11 @@ def _make(job: SceneJob, folder: Path) -> _Outcome:
         record = write_scene(folder, job.info, _until_stopped(job.frames()))
     except LeftOutError as reason:
         return _Outcome(left_out=str(reason))
-    except (ValueError, KeyError, OSError) as error:
+    except UNREADABLE as error:
         if isinstance(error, OSError) and error.errno in FULL_DISK:
             raise
+        known = isinstance(error, ValueError | KeyError | OSError)
         reason = error.args[0] if isinstance(error, KeyError) and error.args else error
-        return _Outcome(failure=" ".join(str(reason).split()))
+        reason = " ".join(str(reason).split())
+        return _Outcome(failure=reason if known else f"{type(error).__name__}: {reason}")
     return _Outcome(len(record.sources), record.num_bytes, record.dropped)

@@ -6,10 +6,9 @@ number in the clip, which is what the evaluation index counts in.
 """
 
 import io
-import json
 import math
 import pickle
-import struct
+import reprlib
 import warnings
 import zipfile
 from collections import Counter
@@ -17,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import torch
@@ -32,6 +31,7 @@ from instok3d.geometry.cameras import invert_rigid
 from instok3d.photos.cropping import crop_image
 from instok3d.photos.image_decoding import naming_damage
 from instok3d.photos.pixel_map import PixelMap, fit_pixels
+from instok3d.reading import UNREADABLE, read_json, reason_of
 
 HEIGHT, WIDTH = 360, 640
 """Of the frames that pixelSplat and its followers use; clips of other sizes are left out."""
@@ -41,11 +41,6 @@ _FRAME_BYTES = 45_000  # of a JPEG of 640 x 360
 _CLIP_FRAMES = 150
 _PARTS = ("train", "test")
 _IMAGE_ENDINGS = (".jpg", ".png", ".jpeg")
-# What torch.load lets through from a damaged file.
-_UNREADABLE = (
-    RuntimeError, EOFError, OSError, ValueError, TypeError, AttributeError, LookupError,
-    zipfile.BadZipFile, struct.error,
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,8 @@ class Re10kSource:
             raise ValueError(f"size must be 1 or more, got {self.size}")
         if not self.folder.is_dir():
             raise FileNotFoundError(f"there is no folder {self.folder}")
-        jobs = [job for split in self.splits for job in self._jobs_of(split)]
+        known: set[str] = set()
+        jobs = [job for split in self.splits for job in self._jobs_of(split, known)]
         if not jobs:
             raise FileNotFoundError(
                 f"{self.folder} holds no clips of RealEstate10K for {' or '.join(self.splits)}; "
@@ -96,19 +92,30 @@ class Re10kSource:
             )
         return jobs
 
-    def _jobs_of(self, split: Literal["train", "test"]) -> Iterator[SceneJob]:
+    def _jobs_of(self, split: Literal["train", "test"], known: set[str]) -> Iterator[SceneJob]:
+        """The clips of a split. Its names are added to the known ones, those of other clips."""
         folder = self.folder if self.folder.name == split else self.folder / split
         index = _chunk_index(folder) if folder.is_dir() else []
         shares = Counter(name for _, name in index)
-        for key, name in index:
+        for number, (key, name) in enumerate(index):
             path = folder / name
             size = path.stat().st_size if path.is_file() else 0
             num_frames = -(-size // (shares[name] * _FRAME_BYTES))
-            yield self._job(key, split, num_frames, partial(_clip_of_chunk, path, key))
+            clip = partial(_clip_of_chunk, path, key)
+            if not can_name_a_scene(key) or key in known:
+                place = f"{split}-{path.stem}-{number}"
+                key, clip = place, partial(_without_name, path, key, place)
+            known.add(key)
+            yield self._job(key, split, num_frames, clip)
         for path in [] if index else sorted(folder.glob("*.txt")):
             images = self.images or self.folder
             clip = partial(_clip_of_text, path, (images / split / path.stem, images / path.stem))
-            yield self._job(path.stem, split, _CLIP_FRAMES, clip)
+            key = path.stem
+            if key in known:
+                place = f"{split}-{path.stem}"
+                key, clip = place, partial(_without_name, path, key, place)
+            known.add(key)
+            yield self._job(key, split, _CLIP_FRAMES, clip)
 
     def _job(
         self,
@@ -137,16 +144,17 @@ def read_chunk(path: Path) -> dict[str, Any]:
         raise FileNotFoundError(f"there is no chunk {path}")
     try:
         # Mapped: of a chunk of 100 MB only the clips that are asked for are read.
-        rows = torch.load(path, weights_only=True, mmap=zipfile.is_zipfile(path))
+        mapped = zipfile.is_zipfile(path)
+        rows = torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
     except pickle.UnpicklingError as error:
         raise ValueError(
             f"{path} is refused: it holds more than tensors, lists and dictionaries, or is cut "
             "off; fetch the chunk again from a source you trust"
         ) from error
-    except _UNREADABLE as error:
-        reason = str(error).partition("\n")[0].partition(". ")[0]
+    except (*UNREADABLE, MemoryError) as error:
+        reason = reason_of(error).partition(". ")[0]
         raise ValueError(
-            f"{path} is cut off or no .torch file ({reason or 'it is empty'}); fetch it again"
+            f"{path} is cut off or no .torch file ({reason}); fetch it again"
         ) from error
     if not isinstance(rows, list):
         raise ValueError(f"{path} holds a {type(rows).__name__}, wanted a list of clips")
@@ -187,16 +195,14 @@ def _chunk_index(folder: Path) -> list[tuple[str, str]]:
     chunks = sorted(folder.glob("*.torch"))
     if not path.is_file():
         return [(key, chunk.name) for chunk in chunks for key in _keys_of(chunk)]
-    try:
-        index = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is not valid JSON ({error}); fetch it again") from error
+    index = read_json(path, "fetch it again")
     if not isinstance(index, dict) or not all(isinstance(name, str) for name in index.values()):
         raise ValueError(f"{path} is no index: wanted the file name of a chunk for each clip")
-    outside = [name for pair in index.items() for name in pair if not can_name_a_scene(name)]
+    outside = [name for name in index.values() if not can_name_a_scene(name)]
     if outside:
         raise ValueError(
-            f"{path} names {outside[0]!r}, which is no name in its folder; fetch it again"
+            f"{path} names {reprlib.repr(outside[0])}, which is no name in its folder; fetch it "
+            "again"
         )
     unlisted = [chunk.name for chunk in chunks if chunk.name not in set(index.values())]
     if unlisted:
@@ -223,22 +229,34 @@ def _checked_clip(row: Any, path: Path, key: str) -> Re10kClip:
         ValueError: It lacks a field, or its numbers of cameras and images differ.
     """
     if not isinstance(row, dict) or not {"key", "cameras", "images"} <= row.keys():
-        found = sorted(map(str, row)) if isinstance(row, dict) else type(row).__name__
+        found = reprlib.repr(sorted(map(str, row))) if isinstance(row, dict) else type(row).__name__
         raise ValueError(f"{path}: the clip {key} has {found}, wanted key, cameras and images")
     if row["key"] != key:
-        raise ValueError(
-            f"{path}: the key of the clip {key} is {row['key']!r}, which cannot name a scene or is "
-            "that of another clip"
-        )
+        _without_name(path, row["key"], key)
     cameras, images = row["cameras"], row["images"]
-    if not isinstance(cameras, torch.Tensor) or cameras.shape[1:] != (18,):
+    if not _is_stored(cameras) or cameras.shape[1:] != (18,) or cameras.is_complex():
         raise ValueError(f"{path}: the cameras of clip {key} are not rows of 18 numbers")
     if not isinstance(images, list) or len(images) != len(cameras):
         count = len(images) if isinstance(images, list) else "no"
         raise ValueError(f"{path}: clip {key} has {len(cameras)} cameras but {count} images")
-    if not all(isinstance(i, torch.Tensor) and i.dtype == torch.uint8 for i in images):
+    if not all(_is_stored(image) and image.dtype == torch.uint8 for image in images):
         raise ValueError(f"{path}: the images of clip {key} are not bytes (uint8)")
-    return Re10kClip(key, path, cameras.double().numpy(), _LazyBytes(images))
+    return Re10kClip(key, path, cameras.detach().double().numpy(), _LazyBytes(images))
+
+
+def _without_name(path: Path, key: Any, place: str) -> NoReturn:
+    raise ValueError(
+        f"{path}: the key of the clip {place} is {reprlib.repr(key)}, which cannot name a scene or "
+        "is that of another clip"
+    )
+
+
+def _is_stored(value: Any) -> bool:
+    """Whether it is a plain tensor that has all its values, not one that stands for many."""
+    if not isinstance(value, torch.Tensor) or value.layout != torch.strided or value.is_quantized:
+        return False
+    size = value.numel() * value.element_size()
+    return value.device.type == "cpu" and size <= value.untyped_storage().nbytes()
 
 
 class _LazyBytes(Sequence[bytes]):

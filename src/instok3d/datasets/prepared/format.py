@@ -1,5 +1,6 @@
 """What a prepared scene consists of, and the scene.json that says so."""
 
+import os
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,6 +34,10 @@ MAX_NAME_BYTES = 200
 def can_name_a_scene(name: str) -> bool:
     """Whether a scene and its folder may have this name."""
     if not name or name.startswith(".") or len(name.encode(errors="replace")) > MAX_NAME_BYTES:
+        return False
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:  # half a character
         return False
     return all(character not in "/\\" and ord(character) >= 32 for character in name)
 
