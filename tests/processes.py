@@ -92,7 +92,8 @@ def train_toy_until_killed(
     """Train from the newest checkpoint, if any; die at the n-th operation of a kind, if asked to.
 
     write: when half of a file of tensors is written; open and rename: before a file of the run is
-    opened or takes its name.
+    opened or takes its name; call: a call, a return or an exception of Python's, after the first
+    checkpoint.
     """
     torch.set_num_threads(1)
     if strike is not None:
@@ -110,6 +111,12 @@ def _die_at(folder: Path, kind: str, number: int) -> None:
     def watch(event: str, arguments: tuple) -> None:
         ours = event in (kind, f"os.{kind}") and str(arguments[0]).startswith(str(folder))
         if ours and count():
+            os.kill(os.getpid(), signal.SIGKILL)
+        if kind == "call" and event == "os.rename" and "step_" in os.fsdecode(arguments[1]):
+            sys.setprofile(watch_calls)
+
+    def watch_calls(*_: object) -> None:
+        if count():
             os.kill(os.getpid(), signal.SIGKILL)
 
     def torn_save(content: Any, path: Path) -> None:
