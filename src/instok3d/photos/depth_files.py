@@ -49,7 +49,8 @@ def read_depth(
         raise ValueError(
             f"{path} holds {values.dtype} of shape {values.shape}, wanted one number a pixel"
         )
-    _check_pixels(path, *values.shape, max_pixels)
+    height, width = values.shape
+    _check_pixels(path, height, width, max_pixels)
     if values.dtype.kind in "ui":
         values = np.where(values == MISSING_16_BIT, 0, values)
         if _is_byte_swapped(values):
