@@ -1,11 +1,14 @@
 """Reading files that may be damaged: JSON of sound values alone, and one error for all damage."""
 
 import errno
+import io
 import json
+import math
 import pickle
 import reprlib
 import struct
 import tarfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -13,13 +16,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 from safetensors import SafetensorError
 
 UNREADABLE = (
     *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError),
     *(AssertionError, EOFError, SyntaxError, OSError, struct.error, zlib.error, tarfile.TarError),
-    *(zipfile.BadZipFile, pickle.UnpicklingError, SafetensorError, Image.DecompressionBombError),
+    *(zipfile.BadZipFile, tokenize.TokenError, pickle.UnpicklingError, SafetensorError),
+    Image.DecompressionBombError,
 )
 """What decoders raise for damaged files."""
 
@@ -109,6 +114,37 @@ def text(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{reprlib.repr(value)} is no text")
     return value
+
+
+def parse_npy(data: bytes, what: object, remedy: str) -> np.ndarray:
+    """The numbers of a .npy file, whose header is checked before anything is allocated.
+
+    Args:
+        data: The file.
+        what: Where it comes from.
+        remedy: What to do if it is damaged.
+
+    Raises:
+        ValueError: It is damaged, or holds other things than numbers.
+    """
+    stream = io.BytesIO(data)
+    with naming_damage(what, remedy):
+        version = np.lib.format.read_magic(stream)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"it is of version {version}")
+        first = version == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        try:
+            shape, by_columns, kind = read(stream)
+        except MemoryError as error:  # of the parser, for nested brackets
+            raise ValueError("its header is none") from error
+        if kind.hasobject:
+            raise ValueError("it holds other things than numbers")
+        promised, found = math.prod(shape) * kind.itemsize, len(data) - stream.tell()
+        if promised != found:
+            raise ValueError(f"its header promises {promised} bytes, {found} are there")
+        values = np.frombuffer(data, kind, offset=stream.tell())
+        return values.reshape(shape, order="F" if by_columns else "C")
 
 
 def whole_number(value: Any, least: int = 0, most: int = 2**63 - 1) -> int:

@@ -89,11 +89,11 @@ POSE, WIDE = np.eye(4), np.array([[1156.0, 0, 640], [0, 1156, 480], [0, 0, 1]])
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("pose/000000.npz", b"no zip", "is damaged or lacks"),
-        ("pose/000000.npz", pickled_npz(), "is damaged or lacks"),
-        ("pose/000000.npz", saved(camera_pose=POSE), "is damaged or lacks"),
-        ("pose/000000.npz", saved(camera_pose=POSE)[:-30], "is damaged or lacks"),
-        ("pose/000000.npz", saved(camera_pose=POSE).replace(b"\0\xf0\x3f", b"123"), "lacks"),
+        ("pose/000000.npz", b"no zip", "is damaged"),
+        ("pose/000000.npz", pickled_npz(), "is damaged"),
+        ("pose/000000.npz", saved(camera_pose=POSE), "is damaged"),
+        ("pose/000000.npz", saved(camera_pose=POSE)[:-30], "is damaged"),
+        ("pose/000000.npz", saved(camera_pose=POSE).replace(b"\0\xf0\x3f", b"123"), "is damaged"),
         ("pose/000000.npz", saved(camera_pose=POSE, camera_intrinsics=np.eye(2)), "shape"),
         ("pose/000000.npz", saved(camera_pose=POSE, camera_intrinsics=WIDE), "another resolution"),
         ("color/000000.png", b"no picture", "is damaged"),
@@ -131,7 +131,7 @@ def test_a_cut_tar_is_refused(tmp_path: Path):
             with pytest.raises(ValueError, match="cut off"):
                 read_all(archive)
     archive.write_bytes(b"no tar at all" * 100)
-    with pytest.raises(ValueError, match="damaged or no tar file"):
+    with pytest.raises(ValueError, match="is damaged"):
         FileTree(archive)
 
 

@@ -14,6 +14,7 @@ from instok3d.datasets.poses import pose_fault
 from instok3d.datasets.prepared import DroppedFrame, PreparedFrame
 from instok3d.datasets.scannet.id_maps import IdMaps, Kind, largest_instance
 from instok3d.datasets.scannet.sens import SensFile
+from instok3d.geometry import checks
 from instok3d.photos.cropping import crop_about_principal_point, crop_image, crop_values
 from instok3d.photos.pixel_map import PixelMap
 
@@ -87,10 +88,10 @@ def check_intrinsics(
     """Fail for intrinsics that belong to a picture of another size.
 
     Raises:
-        ValueError: They are not finite, or the principal point is far from the middle.
+        ValueError: They cannot be intrinsics, or the principal point is far from the middle.
     """
-    if not np.isfinite(intrinsics).all() or not (np.diag(intrinsics) > 0).all():
-        raise ValueError(f"{what} has intrinsics that are not finite and positive")
+    matrix = torch.from_numpy(np.asarray(intrinsics, np.float64))
+    checks.check_intrinsics(matrix, where=what, height=height, width=width, margin=10.0)
     x, y = float(intrinsics[0, 2]), float(intrinsics[1, 2])
     if not (0.3 < x / width < 0.7 and 0.3 < y / height < 0.7):
         raise ValueError(

@@ -1,10 +1,8 @@
 """ScanNet as others have exported it: Uni3R's scannet_processed and LSM's test scenes."""
 
 import io
-import struct
 import tarfile
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -23,14 +21,12 @@ from instok3d.datasets.scannet.export import (
 from instok3d.datasets.scannet.id_maps import read_id_png
 from instok3d.datasets.scannet.sens import half_pixel_intrinsics
 from instok3d.photos.cropping import crop_about_principal_point, crop_image, crop_values
-from instok3d.photos.image_decoding import naming_damage
+from instok3d.photos.image_decoding import naming_damage as naming_picture_damage
 from instok3d.photos.pixel_map import PixelMap
+from instok3d.reading import naming_damage, parse_npy
 
-# What NumPy lets through from a damaged .npz file; unknown forms of zip are RuntimeErrors.
-_UNREADABLE = (
-    OSError, EOFError, ValueError, KeyError, TypeError, RuntimeError,
-    zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip
+MOST_BYTES = 2**28
+"""Of one file; theirs are pictures and cameras of a few hundred kB."""
 
 
 class FileTree:
@@ -68,18 +64,19 @@ class FileTree:
         if self._tar is None:
             return (self.root / self._below / name).read_bytes()
         member = self._members[name]
-        stream = self._tar.extractfile(member)
-        data = b"" if stream is None else stream.read()
+        if member.size > MOST_BYTES:
+            raise ValueError(f"{self.root}: {name} has {member.size} bytes, far too many; leave it")
+        with naming_damage(f"{self.root}: {name}", "download it again"):
+            stream = self._tar.extractfile(member)
+            data = b"" if stream is None else stream.read()
         if len(data) < member.size:
             raise ValueError(f"{self.root} is cut off in {member.name}; download it again")
         return data
 
     def _open_tar(self) -> list[str]:
-        try:
+        with naming_damage(self.root, "download it again"):
             self._tar = tarfile.open(self.root, "r:")  # noqa: SIM115  open as long as the tree
             members = [member for member in self._tar if member.isfile()]
-        except (tarfile.TarError, EOFError) as error:
-            raise ValueError(f"{self.root} is damaged or no tar file ({error})") from error
         with self.root.open("rb") as stream:
             stream.seek(-tarfile.BLOCKSIZE, io.SEEK_END)
             if any(stream.read()):  # tarfile takes an archive cut between two files for whole
@@ -155,7 +152,7 @@ def _frame(
         return DroppedFrame(stem, fault)
     where = f"{tree.root}: {color}"
     image = _image(tree.read(color), where)
-    check_intrinsics(intrinsics, image.height, image.width, where)
+    check_intrinsics(intrinsics, image.height, image.width, f"{tree.root}: {cameras}")
     pixel_map = crop_about_principal_point(
         torch.from_numpy(intrinsics), image.height, image.width, size, size
     )
@@ -173,22 +170,27 @@ def _cameras(
     tree: FileTree, name: str
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3 3"]]:
     what = f"{tree.root}: {name}"
-    try:
-        with np.load(io.BytesIO(tree.read(name)), allow_pickle=False) as arrays:
-            pose = np.array(arrays["camera_pose"], dtype=np.float64).reshape(4, 4)
-            intrinsics = np.array(arrays["camera_intrinsics"], dtype=np.float64)[:3, :3]
-    except _UNREADABLE as error:
-        raise ValueError(
-            f"{what} is damaged or lacks camera_pose or camera_intrinsics ({error}); download it "
-            "again"
-        ) from error
+    with naming_damage(what, "download it again"), _zip(tree.read(name)) as archive:
+        pose = _array(archive, "camera_pose", what).reshape(4, 4)
+        intrinsics = _array(archive, "camera_intrinsics", what)[:3, :3]
     if intrinsics.shape != (3, 3):
         raise ValueError(f"{what} has intrinsics of shape {intrinsics.shape}, wanted 3 x 3")
     return pose, half_pixel_intrinsics(intrinsics)
 
 
+def _zip(data: bytes) -> zipfile.ZipFile:
+    return zipfile.ZipFile(io.BytesIO(data))
+
+
+def _array(archive: zipfile.ZipFile, name: str, what: str) -> Float[np.ndarray, "*shape"]:
+    """A small array of numbers out of an .npz file."""
+    with archive.open(f"{name}.npy") as stream:
+        data = stream.read(2**16)
+    return parse_npy(data, f"{what}, {name}", "download it again").astype(np.float64)
+
+
 def _image(data: bytes, what: str) -> Image.Image:
-    with naming_damage(what):
+    with naming_picture_damage(what):
         image = Image.open(io.BytesIO(data), formats=["JPEG", "PNG"])
         image.load()
     return image

@@ -1,10 +1,9 @@
 """ScanNet's zip archives of 2D annotations: one PNG of ids for each frame of a scan."""
 
 import io
-import json
 import re
+import reprlib
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -14,7 +13,8 @@ from jaxtyping import UInt16
 from PIL import Image
 
 from instok3d.files import replacing
-from instok3d.photos.image_decoding import naming_damage
+from instok3d.photos.image_decoding import naming_damage as naming_picture_damage
+from instok3d.reading import naming_damage, read_json, whole_number
 
 Kind = Literal["instance-filt", "label-filt"]
 """instance-filt: 8-bit, aggregation id + 1; label-filt: 16-bit raw label ids; 0 = unannotated."""
@@ -41,20 +41,16 @@ class IdMaps:
                 f"there is no archive {path}; download it, or prepare without these maps"
             )
         self.path = path
-        try:
+        with naming_damage(path, "download it again"):
             self._archive = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, NotImplementedError) as error:
-            raise ValueError(
-                f"{path} is damaged or no zip archive ({error}); download it again"
-            ) from error
         names = self._archive.namelist()
-        pattern = re.compile(rf"(?:.*/)?{kind}/0*(\d+)\.png")
+        pattern = re.compile(rf"(?:.*/)?{kind}/0*(\d{{1,9}})\.png")
         found = [(match, name) for name in names if (match := pattern.fullmatch(name))]
         self._members = {int(match[1]): name for match, name in found}
         if not self._members:
             self._archive.close()
             files = [name for name in names if not name.endswith("/")]
-            some = f"{files[0]} and the like" if files else "nothing"
+            some = f"{reprlib.repr(files[0])} and the like" if files else "nothing"
             raise ValueError(
                 f"{path} holds no {kind}/<frame>.png but {some}; download the archive of {kind}"
             )
@@ -85,20 +81,15 @@ class IdMaps:
             return None
         name = self._members[frame]
         most_bytes = 4 * MOST_TIMES_THE_PICTURE * picture_pixels + 65536  # of a PNG with ids
-        try:
-            with self._archive.open(name) as stream:
-                data = stream.read(most_bytes + 1)
-        # A RuntimeError is an encrypted map or an unknown compression.
-        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
-            raise ValueError(
-                f"{self.path}: {name} is damaged ({error}); download it again"
-            ) from error
+        where = f"{self.path}: {name}"
+        with naming_damage(where, "download it again"), self._archive.open(name) as stream:
+            data = stream.read(most_bytes + 1)
         if len(data) > most_bytes:
             raise ValueError(
-                f"{self.path}: {name} unpacks to more than {most_bytes} bytes, far too many for a "
+                f"{where} unpacks to more than {most_bytes} bytes, far too many for a "
                 f"picture of {picture_pixels} pixels; download the archive again"
             )
-        return read_id_png(data, f"{self.path}: {name}", picture_pixels)
+        return read_id_png(data, where, picture_pixels)
 
 
 def read_id_png(data: bytes, what: str, picture_pixels: int) -> UInt16[np.ndarray, "height width"]:
@@ -114,14 +105,14 @@ def read_id_png(data: bytes, what: str, picture_pixels: int) -> UInt16[np.ndarra
             number a pixel.
     """
     remedy = "wanted a PNG of ids; make or download it again"
-    with naming_damage(what, remedy):
+    with naming_picture_damage(what, remedy):
         image = Image.open(io.BytesIO(data), formats=["PNG"])
     if image.width * image.height > MOST_TIMES_THE_PICTURE * picture_pixels:
         raise ValueError(
             f"{what} has {image.width} x {image.height} pixels, its picture only {picture_pixels} "
             "in all; give the ids of this picture"
         )
-    with naming_damage(what, remedy):
+    with naming_picture_damage(what, remedy):
         pixels = np.asarray(image)
     if image.mode not in ("L", "I;16", "I") or pixels.max(initial=0) > 65535:
         raise ValueError(
@@ -137,13 +128,10 @@ def largest_instance(path: Path) -> int:
     Raises:
         ValueError: The file is damaged.
     """
-    try:
-        groups = json.loads(path.read_text(encoding="utf-8"))["segGroups"]
-        return max((int(group["id"]) + 1 for group in groups), default=0)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{path} is damaged or lacks segGroups with ids ({error}); download it again"
-        ) from error
+    remedy = "download it again"
+    table = read_json(path, remedy)
+    with naming_damage(path, remedy):
+        return max((whole_number(group["id"]) + 1 for group in table["segGroups"]), default=0)
 
 
 def write_id_maps(path: Path, kind: Kind, maps: Mapping[int, np.ndarray]) -> None:

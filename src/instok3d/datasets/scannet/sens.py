@@ -6,6 +6,7 @@ stamps, two sizes and the compressed bytes. What follows the frames (IMU data) i
 """
 
 import io
+import math
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -28,7 +29,9 @@ _FRAME = struct.Struct("<16fQQQQ")
 FRAME_HEAD_BYTES = _FRAME.size
 """Before the picture and depth of each frame."""
 _LONGEST_NAME = 4096
-_LARGEST_SIDE = 16384
+_MOST_PIXELS = 2**26
+_SHIFTS = (1e-3, 1e9)
+"""Stored depths in one metre that can be; ScanNet has 1000."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,8 @@ class SensFile:
                 f"wanted JPEG ({JPEG}) and zlib ({ZLIB_U16})"
             )
         sides = (color_height, color_width, depth_height, depth_width)
-        if not all(1 <= side <= _LARGEST_SIDE for side in sides) or not shift > 0:
+        sizes = min(sides) >= 1 and max(math.prod(sides[:2]), math.prod(sides[2:])) <= _MOST_PIXELS
+        if not sizes or not _SHIFTS[0] <= shift <= _SHIFTS[1]:
             raise ValueError(
                 f"{self.path} has a damaged header: sizes {sides}, shift {shift}; download it again"
             )

@@ -1,11 +1,12 @@
 """Which ScanNet scans are for training, validation and test, as Uni3R and LSM divide them."""
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from instok3d.datasets.prepared import Split
+from instok3d.reading import naming_damage, parse_json, text, whole_number
 
 FIRST_VAL = "scene0640_01"
 """Of the 1,513 annotated scans in order of name, the last 150 begin here."""
@@ -58,13 +59,16 @@ def published_test_scenes(data: bytes, what: str) -> tuple[SceneList, dict[str, 
     Raises:
         ValueError: The file is damaged.
     """
-    try:
-        chosen = json.loads(data)
-        frames = {str(name): [str(frame) for frame in ids] for name, ids in chosen.items()}
-    except (ValueError, AttributeError, TypeError) as error:
-        raise ValueError(f"{what} is damaged ({error}); it must map scenes to frames") from error
+    remedy = "it must map scenes to frames"
+    chosen = parse_json(data, what, remedy)
+    with naming_damage(what, remedy):
+        frames = {name: [_frame_id(frame) for frame in ids] for name, ids in chosen.items()}
     names = tuple(name for name in sorted(frames) if name not in IGNORED)
     return SceneList(names, f"the scenes of LSM's {TEST_LIST} without {IGNORED[0]}"), frames
+
+
+def _frame_id(value: Any) -> str:
+    return str(whole_number(value)) if isinstance(value, int) else text(value)
 
 
 def fallback_test_scenes(has_finite_poses: Mapping[str, bool]) -> SceneList:
