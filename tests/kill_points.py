@@ -10,14 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import patience
 from instok3d.locking import workplace
 
 OPERATIONS = (
     "open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.chmod", "os.truncate"
 )  # fmt: skip
 """Audited before they are done; os.fsync is counted too."""
-SECONDS = 60
-"""A process that takes longer hangs; alone on a machine it takes a fraction of one."""
 
 
 def every_kill(
@@ -52,7 +51,7 @@ def _killed_at(number: int, folder: Path, function: Callable[[Path], Any]) -> bo
             traceback.print_exc()
             os._exit(1)
         os._exit(0)
-    ends = time.monotonic() + SECONDS
+    ends = time.monotonic() + patience.SECONDS
     while (found := os.waitpid(child, os.WNOHANG))[0] == 0 and time.monotonic() < ends:
         time.sleep(0.001)
     if found[0] == 0:

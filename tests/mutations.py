@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-SECONDS = 60
-"""A reader that takes longer hangs; each takes milliseconds."""
+import patience
+
 SPARE_BYTES = 2 * 2**30
 """No reader of these small files needs more."""
 NASTY: tuple[Any, ...] = (
@@ -78,7 +78,7 @@ def limits() -> Iterator[None]:
     most = pages * resource.getpagesize() + SPARE_BYTES
     before = signal.signal(signal.SIGALRM, late)
     resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-    signal.alarm(SECONDS)
+    signal.alarm(patience.SECONDS)
     try:
         yield
     finally:

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+import patience
 from fake_rooms import FakeRooms
 from instok3d.training import distributed
 from instok3d.training.checkpoint import has_checkpoint
@@ -23,8 +24,6 @@ ROOMS = FakeRooms(6, size=32)
 SERVER = multiprocessing.get_context("forkserver")
 # Only what is installed: the server does not know the folder of the tests.
 SERVER.set_forkserver_preload(["instok3d.training.loop"])
-SECONDS = 120
-"""A process that takes longer hangs; alone on a machine it takes a few."""
 
 
 def run_processes(count: int, function: Callable[..., Any], *arguments: Any) -> list[Any]:
@@ -40,7 +39,7 @@ def run_processes(count: int, function: Callable[..., Any], *arguments: Any) -> 
     for process in processes:
         process.start()
     for process in processes:
-        process.join(SECONDS)
+        process.join(patience.SECONDS)
         if process.exitcode is None:
             for other in processes:
                 other.kill()

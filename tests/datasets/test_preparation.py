@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import patience
 from instok3d.datasets import preparation
 from instok3d.datasets.preparation import (
     SPLIT_RULE,
@@ -119,7 +120,7 @@ if __name__ == "__main__":
     )
     program = [sys.executable, str(tmp_path / "program.py")]
     process = subprocess.Popen(program, start_new_session=True, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 200
+    deadline = time.monotonic() + patience.SECONDS
     while not started.exists():
         if process.poll() is not None or time.monotonic() > deadline:
             process.kill()
@@ -134,7 +135,7 @@ def test_an_interrupt_leaves_whole_scenes_only(tmp_path: Path):
     run([job("a")], out)
     process = started_program(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=100)
+    _, errors = process.communicate(timeout=patience.SECONDS)
     assert b"KeyboardInterrupt" in errors
     assert sorted(path.name for path in out.iterdir()) == ["a", "scenes.json"]
     assert list(verify(out)) == []
@@ -145,7 +146,7 @@ def test_a_killed_run_takes_its_workers_along_and_can_be_finished(tmp_path: Path
     run([job("a")], out)
     process = started_program(tmp_path)
     process.kill()
-    process.communicate(timeout=100)  # ends when no process holds its stderr any more
+    process.communicate(timeout=patience.SECONDS)  # ends when no process holds its stderr any more
     left = [fault.path for fault in verify(out)]
     assert len(left) <= 2
     assert all(path.startswith(".instok3d-") and path.endswith(".part") for path in left)

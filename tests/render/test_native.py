@@ -4,6 +4,7 @@ import multiprocessing
 import pytest
 import torch
 
+import patience
 from instok3d.geometry.cameras import rigid
 from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.render import RasterSettings, native_backend, native_status, render
@@ -284,7 +285,7 @@ def test_a_forked_child_renders(make_scene):
         target=_render_in_child, args=(gaussians, cameras)
     )
     child.start()
-    child.join(60)
+    child.join(patience.SECONDS)
     hangs = child.is_alive()
     child.kill()
     assert not hangs

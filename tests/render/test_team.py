@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import instok3d.render
+import patience
 from instok3d.render import native_backend
 
 NATIVE = Path(instok3d.render.__file__).parent / "native"
@@ -58,7 +59,11 @@ def test_the_first_exception_of_any_thread_is_thrown_to_the_caller(tmp_path: Pat
     build = ["g++", "-std=c++17", "-O1", *flags, f"-I{NATIVE}", *sources, "-o"]
     subprocess.run([*build, str(tmp_path / "program")], check=True)
     ended = subprocess.run(
-        [str(tmp_path / "program")], check=True, capture_output=True, text=True, timeout=60
+        [str(tmp_path / "program")],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=patience.SECONDS,
     )
     expected = [
         line

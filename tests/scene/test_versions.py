@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -21,11 +23,29 @@ def test_every_older_version_is_read_as_the_scene_that_was_written(version: int)
     # Each folder was written by the program of its time from the scene of made_scene.py.
     loaded, made = instok3d.load(GOLDEN / f"scene_v{version}"), made_scene(made_tokens())
     for name, value in vars(made.gaussians).items():
-        assert torch.equal(vars(loaded.gaussians)[name], value), name
-    assert torch.equal(loaded.tokens.assignment, made.tokens.assignment)
+        torch.testing.assert_close(vars(loaded.gaussians)[name], value)
+    torch.testing.assert_close(loaded.tokens.assignment, made.tokens.assignment)
     assert torch.equal(loaded.photos, made.photos)
-    assert loaded.objects == made.objects
-    assert loaded.near_far == made.near_far
+    assert_same([asdict(item) for item in loaded.objects], [asdict(item) for item in made.objects])
+    assert loaded.near_far == pytest.approx(made.near_far)
+
+
+def assert_same(found: Any, wanted: Any, where: str = "") -> None:
+    """Equal, and numbers close: those of the scene made here may differ in their last bits from
+    those of the processor that wrote the folder."""
+    assert type(found) is type(wanted), where
+    if isinstance(found, dict):
+        assert found.keys() == wanted.keys(), where
+    if isinstance(found, dict | list | tuple):
+        assert len(found) == len(wanted), where
+        for key in found if isinstance(found, dict) else range(len(found)):
+            assert_same(found[key], wanted[key], f"{where}.{key}")
+    elif isinstance(found, torch.Tensor):
+        torch.testing.assert_close(found, wanted, msg=where)
+    elif isinstance(found, float):
+        assert found == pytest.approx(wanted, rel=1e-5, abs=1e-6), where
+    else:
+        assert found == wanted, where
 
 
 def test_there_is_an_upgrade_and_a_golden_folder_for_every_older_version():
@@ -38,9 +58,17 @@ def test_there_is_an_upgrade_and_a_golden_folder_for_every_older_version():
 def test_an_old_scene_saved_again_is_one_of_today(tmp_path: Path):
     instok3d.load(GOLDEN / "scene_v1").save(tmp_path / "new.itk")
     made_scene(made_tokens()).save(tmp_path / "made.itk")
-    for file in ("scene.json", "cameras.json", "objects.json", "inputs/001.png"):
-        new, made = (tmp_path / name / file for name in ("new.itk", "made.itk"))
-        assert new.read_bytes() == made.read_bytes(), file
+    for file in ("scene.json", "cameras.json", "objects.json"):
+        new, made = (
+            json.loads((tmp_path / name / file).read_text()) for name in ("new.itk", "made.itk")
+        )
+        if file == "scene.json":  # which files there are; what is in them is compared as read
+            new["sha256"], made["sha256"] = sorted(new["sha256"]), sorted(made["sha256"])
+        assert_same(new, made, file)
+    photo = Path("inputs/001.png")
+    assert (tmp_path / "new.itk" / photo).read_bytes() == (
+        tmp_path / "made.itk" / photo
+    ).read_bytes()
 
 
 @pytest.mark.parametrize("version", [0, VERSION + 1, "1", True, None, 1.0])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+import patience
 import processes
 from instok3d.training.checkpoint import KEPT, read_checkpoint
 from instok3d.training.run_log import read_metrics
@@ -45,7 +46,7 @@ def test_run_killed_at_twenty_random_points_ends_bit_for_bit_the_same(tmp_path):
             target=processes.train_toy_until_killed, args=(CONFIG, tmp_path / "killed", strike)
         )
         process.start()
-        process.join(processes.SECONDS)
+        process.join(patience.SECONDS)
         assert process.exitcode in (0, -9)
         kills += process.exitcode == -9
         ends.append(newest_step(tmp_path / "killed"))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import patience
 from flat_rooms import flat_room
 from instok3d.cli import main
 from instok3d.files import write_json
@@ -50,7 +51,7 @@ def test_two_processes_leave_one_record_and_one_goes_on(tmp_path, capsys):
         [*torchrun, "--nproc-per-node", "2", "-m", "instok3d", *run, "--steps", "2"],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=patience.SECONDS,
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {"step": 2, "ended": "finished"}
