@@ -9,10 +9,10 @@ import pytest
 import instok3d
 
 ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
-ORDER = ["types", "errors", "version", "renames", "locking", "files", "reading", "pictures",
-         "geometry", "render", "photos", "data", "rooms", "datasets", "weights", "backbones",
-         "model", "semantics", "objectives", "scene", "evaluation", "training", "baselines",
-         "viewer", "cli"]  # fmt: skip
+ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files", "reading",
+         "pictures", "geometry", "render", "photos", "data", "rooms", "datasets", "weights",
+         "backbones", "model", "semantics", "objectives", "scene", "evaluation", "training",
+         "baselines", "viewer", "cli"]  # fmt: skip
 
 
 def imported_modules(tree: ast.AST, package: str) -> set[str]:

@@ -31,7 +31,7 @@ def test_rooms_are_made_resumed_and_shown(tmp_path, capsys):
     assert rooms(folder, *few, "1:2") == OK
     shown = capsys.readouterr()
     assert shown.out == f"{folder}: 1 new rooms, 0 seeds rejected, 0 seeds already there\n"
-    assert "1/1" in shown.err  # the progress bar
+    assert shown.err == ""  # no bar where there is no terminal
     assert rooms(folder, *few, "1:2") == OK
     assert "0 new rooms, 0 seeds rejected, 1 seeds already there" in capsys.readouterr().out
     scene = RoomDataset(folder).scene(0)

@@ -72,7 +72,8 @@ def test_the_same_scene_gives_the_same_bytes_also_after_loading(tmp_path: Path, 
 def test_previews_stand_beside_the_scene_and_show_its_objects(tmp_path: Path, scene: Scene):
     stages: list[str] = []
     save_with_previews(scene, tmp_path / "room.itk", progress=stages.append)
-    assert stages == ["previews", "save"]
+    objects = [f"previews: object {number} of 2" for number in (1, 2)]
+    assert stages == [*objects, "previews: contact sheet", "save"]
     pictures = sorted(contents(tmp_path / "room.itk" / "previews"))
     assert pictures == ["contact_sheet.png", "objects/001.png", "objects/003.png"]
     assert_same(instok3d.load(tmp_path / "room.itk"), scene)

@@ -1,4 +1,5 @@
 import os
+import re
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from instok3d.training.loop import train
 from instok3d.training.run_log import read_metrics
 from instok3d.training.update import NonFiniteLossError, parameter_groups
 from kill_points import die_in
+from terminal import on_terminal
 from toy_stage import TINY, ToyStage
 
 ROOMS = FakeRooms(5, size=16)
@@ -66,6 +68,18 @@ def test_run_leaves_metrics_pictures_and_curves(tmp_path):
     assert all(x["loss"] > 0 and x["step_s"] > 0 for x in lines if x["kind"] == "train")
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 3
     assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_a_terminal_shows_what_the_run_is_doing_and_the_time_left(tmp_path, monkeypatch):
+    terminal = on_terminal(monkeypatch)
+    train(TINY, ToyStage(), ROOMS, tmp_path)
+    drawn = terminal.drawn
+    assert "validating on 2 scenes" in drawn
+    assert "step 1/6" in drawn
+    assert any(re.fullmatch(r"step 4/6  [\d.]+ s/step  \dm\d\ds left", text) for text in drawn)
+    assert "saving" in drawn
+    assert "finished at step 6" in drawn
+    assert terminal.getvalue().endswith("\r\033[K")
 
 
 def test_non_finite_loss_stops_before_the_update_and_keeps_the_batch(tmp_path):

@@ -3,7 +3,7 @@ import json
 from PIL import Image
 
 from instok3d.training.plots import COLORS, plot_curves
-from instok3d.training.run_log import RunLog, format_duration, read_metrics
+from instok3d.training.run_log import RunLog, read_metrics
 
 
 def test_curves_show_training_and_validation(tmp_path):
@@ -54,8 +54,3 @@ def test_a_silent_record_writes_and_prints_nothing(tmp_path, capsys):
     RunLog(None, total_steps=2).train(1, 0.5, {"loss": 1.0})
     assert capsys.readouterr().err == ""
     assert list(tmp_path.iterdir()) == []
-
-
-def test_durations_read_well():
-    assert format_duration(59.9) == "0m59s"
-    assert format_duration(7261.0) == "2h01m"

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tqdm import tqdm
 from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
@@ -116,11 +115,12 @@ def _label_all(
 ) -> "tuple[dict[str, Labelled], dict[str, str]]":
     """Label clip after clip; what went wrong with one does not stop the others."""
     from instok3d.datasets.pseudo_labels.writing import label
+    from instok3d.progress import progress_bar
 
     done: dict[str, Labelled] = {}
     failed: dict[str, str] = {}
     total = sum(len(clip.images) for clip in clips.values())
-    with tqdm(total=total, unit="frame", disable=not sys.stderr.isatty()) as bar:
+    with progress_bar(total, unit="frame") as bar:
         for number, (name, clip) in enumerate(clips.items(), start=1):
             bar.set_description(name)
             try:

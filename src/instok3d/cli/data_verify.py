@@ -22,10 +22,9 @@ def verify(
         json_output: Print the faults as JSON.
         index: First write the index of scenes anew from what lies in the folder.
     """
-    from tqdm import tqdm
-
     from instok3d.datasets.prepared import refresh_index, scene_folders
     from instok3d.datasets.prepared.verifying import verify_index, verify_scene
+    from instok3d.progress import progress_bar
 
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}")
@@ -33,8 +32,10 @@ def verify(
         refresh_index(folder)
     faults = list(verify_index(folder))
     scenes = scene_folders(folder)
-    for scene in tqdm(scenes, unit="scene"):
-        faults += verify_scene(scene)
+    with progress_bar(len(scenes), unit="scene") as bar:
+        for scene in scenes:
+            faults += verify_scene(scene)
+            bar.update()
     if json_output:
         rows = [asdict(fault) for fault in faults]
         print(json.dumps({"scenes": len(scenes), "faults": rows}, indent=2))

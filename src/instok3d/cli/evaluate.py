@@ -75,14 +75,13 @@ def run(
         details: With --json: also settings, levels, baselines and further figures.
         markdown: Print rows for docs/results.md.
     """
-    from tqdm import tqdm
-
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.report import as_json, as_table
     from instok3d.evaluation.run import EvaluationSettings, evaluate
     from instok3d.files import sha256_of
     from instok3d.model.files import DEFAULT_MODEL, load_model, read_unit
     from instok3d.objectives.lpips import load_lpips
+    from instok3d.progress import progress_bar
 
     if pose_alignment_steps < 0:
         raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
@@ -107,10 +106,10 @@ def run(
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
     file = DEFAULT_MODEL if model is None else model
-    with tqdm(total=total, unit="scene", file=sys.stderr, disable=None) as progress:
+    with progress_bar(total, unit="scene") as bar:
 
         def on_scene(scene: "ProtocolScene", predictions: "Sequence[Prediction]") -> None:
-            progress.update()
+            bar.update()
             if save is not None:
                 _save_sheets(save, protocol, scene, predictions)
 

@@ -67,24 +67,25 @@ def make_scene(
 ) -> None:
     """Reconstruct, save, and say on stdout what came out."""
     from instok3d.cli.progress import StageClock, plain_warnings
+    from instok3d.progress import format_duration
 
     clock = StageClock()
-    clock.begin("start")
-    from instok3d.cli.info import describe, print_json, summary
-    from instok3d.scene.files import check_target
-    from instok3d.scene.previews import save_with_previews
-    from instok3d.scene.reconstruct import reconstruct
+    with clock.running():
+        clock.begin("start")
+        from instok3d.cli.info import describe, print_json, summary
+        from instok3d.scene.files import check_target
+        from instok3d.scene.previews import save_with_previews
+        from instok3d.scene.reconstruct import reconstruct
 
-    check_target(output, overwrite=overwrite)
-    with plain_warnings():
-        scene = reconstruct(
-            photos, cameras=cameras, allow_outside=allow_outside, model=model, seed=seed,
-            max_views=max_views, device=device, progress=clock.begin,
-        )  # fmt: skip
-        save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
-    clock.end()
-    if timings:
-        print(clock.report(), file=sys.stderr)
+        check_target(output, overwrite=overwrite)
+        with plain_warnings():
+            scene = reconstruct(
+                photos, cameras=cameras, allow_outside=allow_outside, model=model, seed=seed,
+                max_views=max_views, device=device, progress=clock.begin,
+            )  # fmt: skip
+            save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
+    took = clock.report() if timings else f"done in {format_duration(clock.total_s)}"
+    print(took, file=sys.stderr)
     if json:
         print_json({"scene": str(output), **summary(scene), "timings_s": clock.times_s})
     else:

@@ -1,19 +1,18 @@
 """`instok3d train cache`: the frozen backbone's answers, written once for a tokenizer run."""
 
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import torch
-from tqdm import tqdm
 from tyro.conf import AvoidSubcommands, arg
 
 from instok3d.backbones.cost import Work
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.opening import open_training_scenes
 from instok3d.model.memory import check_memory
+from instok3d.progress import progress_bar
 from instok3d.training.cache.settings import cached_backbone
 from instok3d.training.cache.writing import FeatureType, fill_cache
 from instok3d.training.checkpoint import read_weights
@@ -60,10 +59,10 @@ def cache(
     check_device(config.device)
     source = open_training_scenes(arguments.data, masks=config.masks)
     _check_memory(config, frozen, source)
-    with tqdm(total=len(source), unit="scene", file=sys.stderr, disable=None) as progress:
+    with progress_bar(len(source), unit="scene") as bar:
 
         def on_scene(done: int, total: int) -> None:
-            progress.update()
+            bar.update()
 
         filled = fill_cache(
             config,

@@ -21,8 +21,6 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
 
-from tqdm import tqdm
-
 from instok3d.datasets.prepared import (
     DroppedFrame,
     PreparedFrame,
@@ -33,6 +31,7 @@ from instok3d.datasets.prepared import (
 )
 from instok3d.datasets.prepared.format import RECORD
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.progress import progress_bar
 from instok3d.reading import UNREADABLE
 
 LOCK = ".lock"
@@ -162,7 +161,7 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
     Args:
         plan: Of `plan_preparation`.
         workers: Processes.
-        progress: A bar and each failure on stderr.
+        progress: Each failure on stderr as it comes, and a bar where that is a terminal.
 
     Raises:
         OSError: The disk is or would become full (errno ENOSPC).
@@ -190,11 +189,13 @@ def prepare(plan: PreparationPlan, *, workers: int = 2, progress: bool = True) -
 
 def _prepare(plan: PreparationPlan, workers: int, progress: bool) -> PreparationReport:
     report = PreparationReport(skipped=plan.skipped)
-    bar = tqdm(total=len(plan.jobs) + plan.skipped, initial=plan.skipped, unit="scene",
-               disable=not progress)  # fmt: skip
+    total = len(plan.jobs) + plan.skipped
     try:
         refresh_index(plan.folder)
-        with bar, _outcomes(plan.jobs, plan.folder, workers) as outcomes:
+        with (
+            progress_bar(total, unit="scene", done=plan.skipped, shown=progress) as bar,
+            _outcomes(plan.jobs, plan.folder, workers) as outcomes,
+        ):
             for name, outcome in outcomes:
                 _count(report, name, outcome)
                 if outcome.failure and progress:

@@ -11,10 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from tqdm import tqdm
-
 from instok3d.files import write_json
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.progress import progress_bar
 from instok3d.rooms.denoising import Denoiser, find_denoiser
 from instok3d.rooms.levels import LEVELS
 from instok3d.rooms.scene import render_scene
@@ -123,7 +122,7 @@ def generate_rooms(
         resolution: Height and width of the pictures, pixels.
         level: mix (30 % easy, 50 % medium, 20 % hard, by seed), easy, medium or hard.
         workers: Processes.
-        progress: A bar on stderr.
+        progress: A bar on stderr, where that is a terminal.
 
     Raises:
         ModuleNotFoundError: The ray tracer is not installed.
@@ -157,8 +156,11 @@ def _generate(
     make = partial(_make_shard, folder=folder, resolution=resolution, level=level)
     scenes = rejected = 0
     skipped = (len(shards) - len(missing)) * SHARD_SEEDS
-    bar = tqdm(total=len(shards) * SHARD_SEEDS, initial=skipped, unit="room", disable=not progress)
-    with bar, _results(make, missing, workers) as results:
+    total = len(shards) * SHARD_SEEDS
+    with (
+        progress_bar(total, unit="room", done=skipped, shown=progress) as bar,
+        _results(make, missing, workers) as results,
+    ):
         for shard, record in results:
             add_to_index(folder, shard, record)
             scenes += len(record.seeds)

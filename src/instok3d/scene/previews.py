@@ -30,7 +30,8 @@ def save_with_previews(
         scene: What to write.
         path: The folder, such as room.itk.
         overwrite: Replace a scene that is already there.
-        progress: Called with the name of each stage as it begins.
+        progress: Called with the name of each stage as it begins; behind a colon, with how far
+            it is.
 
     Raises:
         FileExistsError, FileNotFoundError, PermissionError: As `save_record`.
@@ -38,20 +39,23 @@ def save_with_previews(
     begin = progress or (lambda stage: None)
 
     def previews(folder: Path) -> None:
-        begin("previews")
-        write_previews(scene, folder / "previews")
+        write_previews(scene, folder / "previews", progress=begin)
         begin("save")
 
     save_record(scene, path, overwrite=overwrite, more=previews)
 
 
-def write_previews(scene: Scene, folder: Path) -> None:
+def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) -> None:
     """Write contact_sheet.png and objects/NNN.png, one for each object, into a folder.
 
     The sheet has the inputs, the scene rendered at the inputs, the objects' pixels coloured, and
     a tile for each object: it alone, in the view that shows most of it.
     """
-    tiles = [object_picture(scene, item) for item in scene.objects]
+    tiles = []
+    for number, item in enumerate(scene.objects, 1):
+        progress(f"previews: object {number} of {len(scene.objects)}")
+        tiles.append(object_picture(scene, item))
+    progress("previews: contact sheet")
     (folder / "objects").mkdir(parents=True, exist_ok=True)
     for item, tile in zip(scene.objects, tiles, strict=True):
         Image.fromarray(tile).save(folder / "objects" / f"{item.id:03d}.png")

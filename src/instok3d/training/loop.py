@@ -106,8 +106,14 @@ def train(
         torch.set_num_threads(config.threads)
     with joined_processes(config.device) as processes, _alone(folder, processes):
         run = _prepared(config, stage, source, folder, processes, resume, add_scenes, init_from)
-        with stop_requests() as requests:
-            return _steps(run, requests, time_limit_min, resume=resume)
+        log = RunLog(
+            folder if processes.is_first else None,
+            total_steps=config.steps,
+            first_step=run.state.step,
+            resumed=resume,
+        )
+        with stop_requests() as requests, log.showing():
+            return _steps(run, log, requests, time_limit_min)
 
 
 @contextmanager
@@ -184,15 +190,9 @@ def _prepared(
 
 
 def _steps(
-    run: Run, requests: list[int], time_limit_min: float | None, *, resume: bool
+    run: Run, log: RunLog, requests: list[int], time_limit_min: float | None
 ) -> TrainOutcome:
     config, state, folder, processes = run.config, run.state, run.folder, run.processes
-    log = RunLog(
-        folder if processes.is_first else None,
-        total_steps=config.steps,
-        first_step=state.step,
-        resumed=resume,
-    )
     log.say(_beginning(run))
     start = last_validation = last_save = time.monotonic()
     elapsed_before_s = state.elapsed_s
@@ -212,6 +212,7 @@ def _steps(
         # Validate and draw, also before the first step and at the end, on averaged weights.
         ending = reason is not None and reason != "interrupted"
         if step == 0 or ending or validation_due or _is_turn(step, config.validate_every_steps):
+            log.working(f"validating on {config.holdout} scenes")
             with averaged_model(run) as model:
                 if model is not None:
                     log.validation(step, state.elapsed_s, validate(run, model))
@@ -222,6 +223,7 @@ def _steps(
         # Save.
         before_save = time.monotonic()
         if reason or save_due or (step and _is_turn(step, config.checkpoint_every_steps)):
+            log.working("saving")
             save_checkpoint(folder, state, to_json(config), processes)
             last_save = time.monotonic()
             log.pause(last_save - before_save)
@@ -230,6 +232,7 @@ def _steps(
             return TrainOutcome(step, reason)
 
         # Step.
+        log.stepping(step)
         rate = learning_rate(
             step,
             peak=config.lr,

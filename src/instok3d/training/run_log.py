@@ -2,11 +2,13 @@
 
 import json
 import math
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from instok3d.files import replacing
+from instok3d.progress import StatusLine, format_duration
 
 
 class RunLog:
@@ -36,6 +38,32 @@ class RunLog:
         if self._path is not None:
             self._keep_until(self._path, first_step if resumed else -1)
         self._last_step, self._last_time = first_step, time.monotonic()
+        self._step_s: float | None = None
+        self._status = StatusLine()
+
+    @contextmanager
+    def showing(self) -> Iterator[None]:
+        """While inside, a terminal's last line says what the run is doing."""
+        with self._status.running():
+            yield
+
+    def working(self, what: str) -> None:
+        """Show what the run is doing from now on."""
+        if self._path is not None:
+            self._status.show(what)
+
+    def stepping(self, step: int) -> None:
+        """Show the step that has begun, and the time to the end once one step is done.
+
+        Args:
+            step: Updates done before it.
+        """
+        if step > self._last_step:
+            self._step_s = (time.monotonic() - self._last_time) / (step - self._last_step)
+        left = ""
+        if self._step_s is not None:
+            left = f"  {self._speed(self._step_s, step)}"
+        self.working(f"step {step + 1}/{self._total_steps}{left}")
 
     def train(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
         """Write a line of training figures and print it with speed and time to the end.
@@ -44,12 +72,11 @@ class RunLog:
         """
         now = time.monotonic()
         step_s = (now - self._last_time) / max(1, step - self._last_step)
-        self._last_step, self._last_time = step, now
+        self._last_step, self._last_time, self._step_s = step, now, step_s
         self._write("train", step, elapsed_s, {**figures, "step_s": step_s})
-        left = format_duration(step_s * (self._total_steps - step))
         self.say(
             f"step {step}/{self._total_steps}  {format_figures(figures)}  "
-            f"{step_s:.2f} s/step  {left} left"
+            f"{self._speed(step_s, step)}"
         )
 
     def validation(self, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
@@ -60,11 +87,15 @@ class RunLog:
     def say(self, text: str) -> None:
         """One line on the console."""
         if self._path is not None:
-            print(text, file=sys.stderr, flush=True)
+            self._status.print_above(text)
 
     def pause(self, seconds: float) -> None:
         """Leave time that was not spent on steps (validation, saving) out of the speed."""
         self._last_time += seconds
+
+    def _speed(self, step_s: float, step: int) -> str:
+        left = format_duration(step_s * (self._total_steps - step))
+        return f"{step_s:.2f} s/step  {left} left"
 
     def _write(self, kind: str, step: int, elapsed_s: float, figures: dict[str, float]) -> None:
         if self._path is None or (kind, step) in self._written:
@@ -118,9 +149,3 @@ def read_metrics(path: Path) -> list[dict]:
 def format_figures(figures: dict[str, float]) -> str:
     """Names and four digits of each figure, on one line."""
     return "  ".join(f"{name} {value:.4g}" for name, value in figures.items())
-
-
-def format_duration(seconds: float) -> str:
-    """Hours and minutes, or minutes and seconds below an hour."""
-    minutes, rest = divmod(int(seconds), 60)
-    return f"{minutes // 60}h{minutes % 60:02d}m" if minutes >= 60 else f"{minutes}m{rest:02d}s"
