@@ -355,7 +355,7 @@ def test_render_refuses_what_is_not_there(room: str, tmp_path: Path, capsys: pyt
     for words, message in {
         ("-o", strip, "--only", "2"): "no object 2 in this scene; its ids are: 1, 3",
         ("-o", strip, "--path", "nowhere.json"): "no camera path nowhere.json",
-        ("-o", strip, "--path", f"{room}/objects.json"): "is no list of cameras",
+        ("-o", strip, "--path", f"{room}/objects.json"): "give a list of cameras",
         ("-o", strip, "--path", "orbit", "--frames", "0"): "frames must lie in 1..",
         ("-o", strip, "--frames", "-3"): "frames must lie in 1..",
         ("-o", strip, "--path", "orbit", "--frames", "90000"): "90000 pictures of 32 x 24",

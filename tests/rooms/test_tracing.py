@@ -83,7 +83,7 @@ def test_occlusion_is_a_hit_nearer_than_the_distance(soup):
 def test_without_embree_the_error_says_what_to_install(monkeypatch):
     for name in ("embreex", "embreex.mesh_construction", "embreex.rtcore_scene"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ModuleNotFoundError, match=r"embreex.*pip install instok3d\[rooms\]"):
+    with pytest.raises(ModuleNotFoundError, match=r"embreex.*pip install 'instok3d\[rooms\]'"):
         check_embree()
     with pytest.raises(ModuleNotFoundError, match="embreex"):
         EmbreeTracer(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]]))
