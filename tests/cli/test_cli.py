@@ -164,7 +164,7 @@ def test_errors_while_saving_have_their_codes_and_leave_nothing(
     error: BaseException,
     code: int,
 ):
-    def fail(*arguments: object) -> None:
+    def fail(*arguments: object, **options: object) -> None:
         raise error
 
     monkeypatch.setattr("instok3d.scene.previews.write_previews", fail)
