@@ -76,6 +76,26 @@ def test_the_first_exception_of_any_thread_is_thrown_to_the_caller(tmp_path: Pat
     assert ended.stdout.splitlines() == expected
 
 
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="allocation is replaced as glibc's"
+)
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
+@pytest.mark.skipif(not (NATIVE / "team.cpp").is_file(), reason="installed without its sources")
+@pytest.mark.parametrize("flags", [["-fopenmp"], ["-pthread"]], ids=["OpenMP", "std::thread"])
+def test_no_allocation_that_fails_ends_the_process(tmp_path: Path, flags: list):
+    names = ("team", "buffer", "binning", "rasterizer", "kernels_portable")
+    sources = [
+        Path(__file__).with_name("failing_memory.cpp"),
+        *(NATIVE / f"{n}.cpp" for n in names),
+    ]
+    build = ["g++", "-std=c++17", "-O0", *flags, f"-I{NATIVE}", *map(str, sources), "-o"]
+    subprocess.run([*build, str(tmp_path / "program")], check=True)
+    ended = subprocess.run([str(tmp_path / "program")], capture_output=True, text=True)
+    assert ended.stdout.splitlines() == [
+        "1 threads, more than 20 thrown", "3 threads, more than 20 thrown", "and drawn",
+    ], ended.stderr  # fmt: skip
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are set as on Linux")
 @pytest.mark.skipif(not native_backend.native_status().available, reason="kernels are not built")
 @pytest.mark.parametrize("threads", [1, 2])

@@ -1,5 +1,6 @@
 #include "buffer.hpp"
 
+#include <cstdint>
 #include <cstdlib>
 #include <map>
 #include <mutex>
@@ -17,6 +18,7 @@ namespace instok3d {
 namespace {
 
 constexpr std::size_t MAX_KEPT = std::size_t(256) << 20;
+constexpr std::size_t MAX_BYTES = SIZE_MAX / 4;  // rounding up stays below SIZE_MAX
 constexpr std::size_t HUGE_PAGE = std::size_t(2) << 20;
 
 struct Pool {
@@ -33,6 +35,7 @@ Pool& pool() {
 
 // Four sizes to each power of two, so that sizes that vary a little find each other's buffers.
 std::size_t rounded(std::size_t bytes) {
+  if (bytes > MAX_BYTES) throw std::bad_alloc();
   std::size_t step = 64;
   while (step * 8 < bytes) step *= 2;
   return (bytes + step - 1) / step * step;
@@ -81,12 +84,15 @@ Buffer::Buffer(std::size_t bytes) : bytes_(rounded(bytes ? bytes : 1)) {
 Buffer::~Buffer() {
   if (!data_) return;
   const std::lock_guard<std::mutex> lock(pool().mutex);
-  if (pool().kept + bytes_ > MAX_KEPT) {
-    release(data_);
-  } else {
-    pool().free[bytes_].push_back(data_);
-    pool().kept += bytes_;
+  if (pool().kept + bytes_ <= MAX_KEPT) {
+    try {
+      pool().free[bytes_].push_back(data_);
+      pool().kept += bytes_;
+      return;
+    } catch (const std::bad_alloc&) {  // no memory for the list: then this one goes back, too
+    }
   }
+  release(data_);
 }
 
 }  // namespace instok3d

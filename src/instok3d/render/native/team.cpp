@@ -12,7 +12,6 @@
 #include <omp.h>
 #else
 #include <condition_variable>
-#include <system_error>
 #include <thread>
 #endif
 
@@ -116,7 +115,7 @@ void run_team(int threads, const std::vector<Stage>& stages, Progress& progress)
   others.reserve(threads - 1);
   try {
     for (int thread = 1; thread < threads; ++thread) others.emplace_back(member, thread);
-  } catch (const std::system_error&) {  // the system has no more threads: fewer do it, too
+  } catch (const std::exception&) {  // no more threads, or no memory for one: fewer do it, too
     barrier.resize(1 + static_cast<int>(others.size()));
   }
   member(0);
