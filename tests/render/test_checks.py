@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from instok3d.render import api, render
+from instok3d.render import checks, render
 from instok3d.render.native_backend import _rasterizer
 from instok3d.types import Cameras, Gaussians
 
@@ -66,17 +66,51 @@ def test_types_and_devices_that_differ_are_refused(make_scene):
 def test_a_picture_that_no_memory_holds_is_refused_before_any_is_asked_for(make_scene):
     gaussians, cameras = make_scene(count=5, dtype=torch.float32)
     with pytest.raises(ValueError, match="more than 67108864 pixels"):
-        render(gaussians, cameras, api.MAX_PIXELS, 2)
+        render(gaussians, cameras, checks.MAX_PIXELS, 2)
+
+
+@pytest.mark.parametrize("dtype", [torch.bool, torch.complex64])
+def test_an_anchor_index_that_does_not_count_is_refused(make_scene, dtype: torch.dtype):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    wrong = unchecked(gaussians, "anchor_index", torch.zeros(5, dtype=dtype))
+    with pytest.raises(ValueError, match=rf"anchor_index is {dtype}, wanted whole numbers"):
+        render(wrong, cameras, 8, 8)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("number", [-1, 7, 2**40])
+def test_an_anchor_without_features_is_refused(make_scene, backend: str, number: int):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    gaussians.anchor_index[2] = number
+    with pytest.raises(ValueError, match="anchor_index has a number without a row"):
+        render(gaussians, cameras, 8, 8, anchor_features=torch.zeros(7, 2), backend=backend)
+
+
+@pytest.mark.parametrize("near_far", [(2.0, 1.0), (-1.0, 9.0), (float("nan"), 9.0)])
+def test_planes_out_of_order_are_refused(make_scene, near_far: tuple[float, float]):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    near, far = near_far
+    with pytest.raises(ValueError, match="0 <= near <= far, got"):
+        render(gaussians, cameras, 8, 8, near=near, far=far)
+
+
+def test_a_background_that_is_not_one_colour_is_refused(make_scene):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    with pytest.raises(ValueError, match=r"background has the shape \(4,\), wanted three numbers"):
+        render(gaussians, cameras, 8, 8, background=(0.0, 0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("count", [0, 3])
 @pytest.mark.parametrize("views", [0, 2])
 def test_no_gaussians_and_no_views_are_pictures_of_nothing(make_scene, count: int, views: int):
     gaussians, cameras = make_scene(count=count, views=views, dtype=torch.float32)
+    gaussians.means.requires_grad_()
     for backend in ("native", "reference"):
         pictures = render(gaussians, cameras, 6, 8, backend=backend)
         assert pictures.colors.shape == (views, 3, 6, 8)
         assert count or not pictures.alphas.any()
+        if pictures.colors.requires_grad:  # also backwards through nothing
+            pictures.colors.sum().backward()
 
 
 @pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
@@ -115,7 +149,7 @@ def test_a_frame_of_another_scene_is_refused_in_the_backward_pass(make_scene):
     inputs, settings = arrays(5, 8)
     frame, *images = _rasterizer.forward(*inputs, settings, "auto", 1)
     gradient = torch.ones(1, 2, 3, 8, 8)
-    for other in (arrays(6, 8), arrays(5, 80)):
+    for other in (arrays(6, 8), arrays(5, 80), arrays(5, 9)):
         drawn = _rasterizer.forward(*other[0], other[1], "auto", 1)[1:]
         with pytest.raises(ValueError, match="the frame was drawn from inputs of other sizes"):
             _rasterizer.backward(
@@ -126,3 +160,44 @@ def test_a_frame_of_another_scene_is_refused_in_the_backward_pass(make_scene):
             frame, *inputs, settings, *images, gradient[..., :4, :].contiguous(), None, None, None,
             "auto", 1,
         )  # fmt: skip
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+def test_a_frame_drawn_with_other_anchors_is_refused_in_the_backward_pass(make_scene):
+    gaussians, cameras = make_scene(batch=1, count=5, anchors=7, dtype=torch.float32)
+    arrays = [
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics,
+    ]  # fmt: skip
+    settings = _rasterizer.Settings(8, 8, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0)
+    features = torch.zeros(1, 7, 2)
+    drawn = _rasterizer.forward(*arrays, features, settings, "auto", 1)
+    bare = _rasterizer.forward(*arrays, None, settings, "auto", 1)
+    for frame, rows in ((drawn[0], 3), (bare[0], 7)):
+        with pytest.raises(ValueError, match="the frame was drawn from inputs of other sizes"):
+            _rasterizer.backward(
+                frame, *arrays, features[:, :rows].contiguous(), settings, *drawn[1:], None, None,
+                None, torch.ones(1, 2, 2, 8, 8), "auto", 1,
+            )  # fmt: skip
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+def test_the_kernels_refuse_lengths_that_their_numbers_cannot_count(make_scene):
+    gaussians, cameras = make_scene(batch=1, count=0, dtype=torch.float32)
+    arrays = [
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+        gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics,
+    ]  # fmt: skip
+
+    def draw(features, height, width):
+        settings = _rasterizer.Settings(
+            height, width, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0
+        )
+        _rasterizer.forward(*arrays, features, settings, "auto", 1)
+
+    with pytest.raises(ValueError, match="channels are 2097152, the kernels take at most 1048576"):
+        draw(torch.zeros(1, 0, 2**21), 8, 8)
+    with pytest.raises(ValueError, match="columns of a picture are 16777217"):
+        draw(None, 1, 2**24 + 1)
+    with pytest.raises(ValueError, match="pixels of a picture are"):
+        draw(None, 2**20, 2**20)

@@ -51,14 +51,7 @@ def render_reference(
 
     Differentiable in everything but the anchor indices. The order of the Gaussians and the
     thresholds of the settings are treated as constant.
-
-    Raises:
-        ValueError: An anchor index has no row of features.
     """
-    if anchor_features is not None and gaussians.anchor_index.numel():
-        low, high = gaussians.anchor_index.aminmax()
-        if low < 0 or high >= anchor_features.shape[1]:
-            raise ValueError("anchor_index has a number without a row of anchor_features")
     pictures = []
     for scene in range(gaussians.means.shape[0]):
         for view in range(cameras.intrinsics.shape[1]):

@@ -190,6 +190,21 @@ def test_the_kernels_find_what_the_reference_finds(rng):
 
 
 @needs_kernels
+def test_the_layout_of_the_matches_changes_nothing(rng):
+    matches, here, there = noisy_pair(rng)
+    plain = search_native(matches, here, there)
+    # Dense, but not in order: what is made like these is not in order, either.
+    turned = replace(
+        matches,
+        pixels=matches.pixels.mT.contiguous().mT,
+        precision=matches.precision.transpose(1, 3).contiguous().transpose(1, 3),
+    )
+    found = search_native(turned, here, there)
+    assert torch.equal(found.pixels, plain.pixels)
+    assert torch.equal(found.precision, plain.precision)
+
+
+@needs_kernels
 def test_the_kernels_give_the_same_bytes_on_any_number_of_threads(rng):
     found, before = [], torch.get_num_threads()
     for threads in (1, 2, 3):

@@ -97,7 +97,9 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     warps = there.intrinsics @ there_from_here[:, :3, :3] @ here.intrinsics.inverse()
     shifts = (there.intrinsics @ there_from_here[:, :3, 3:])[..., 0]
     depths = sample_depth(here.depths, matches.centers.expand(len(here.depths), -1, -1))
-    pixels, precision = torch.empty_like(matches.pixels), torch.empty_like(matches.precision)
+    # Contiguous, which empty_like of a permuted tensor is not: the kernels write to them.
+    pixels = matches.pixels.new_empty(matches.pixels.shape)
+    precision = matches.precision.new_empty(matches.precision.shape)
     window = _window(_own_offsets(like=matches.centers)).view(PATCH, PATCH)
     _alignment.align(
         *(

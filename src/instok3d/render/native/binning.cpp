@@ -34,14 +34,15 @@ void sort_by_key(int n, std::uint32_t* keys, std::int32_t* order, std::uint32_t*
   std::memcpy(other_order, order, n * sizeof *order);  // three passes end in the other array
 }
 
-// Rounding by hand: without SSE 4.1, ceil and floor are calls.
+// Rounding by hand: without SSE 4.1, ceil and floor are calls. An edge that is NaN is that of the
+// image, in these orders of the arguments.
 int first_pixel(float edge, int size) {
-  const float at = std::clamp(edge - 0.5f, 0.f, float(size));
+  const float at = std::min(std::max(0.f, edge - 0.5f), float(size));
   const int below = static_cast<int>(at);
   return below + (float(below) < at);
 }
 int last_pixel(float edge, int size) {
-  return static_cast<int>(std::clamp(edge + 0.5f, 0.f, float(size))) - 1;
+  return static_cast<int>(std::max(std::min(float(size), edge + 0.5f), 0.f)) - 1;
 }
 
 // The pixels around an ellipse.

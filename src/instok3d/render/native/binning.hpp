@@ -16,7 +16,6 @@ class Bins {
  public:
   Bins(int gaussians, int height, int width);
 
-  int gaussians() const { return gaussians_; }
   Record* records() { return records_.as<Record>(); }
   const Record* records() const { return records_.as<Record>(); }
 

@@ -9,17 +9,27 @@ constexpr int TILE = 16;         // pixels along the side of a tile
 constexpr int PIXELS = 256;      // in a tile; stored as 16 blocks of 4x4 pixels
 constexpr int GRADIENTS = 12;    // floats a (tile, Gaussian) pair sends back; 10 are used
 
-// The arguments of a call. Arrays are contiguous; the leading axis is the scene.
-struct Inputs {
+// Lengths of the axes of all inputs and images; anchors and channels are 0 without features.
+struct Sizes {
   int scenes, views, gaussians, coefficients, anchors, channels, height, width;
+
+  bool operator==(const Sizes& o) const {
+    return scenes == o.scenes && views == o.views && gaussians == o.gaussians &&
+           coefficients == o.coefficients && anchors == o.anchors && channels == o.channels &&
+           height == o.height && width == o.width;
+  }
+  int tiles_x() const { return (width + TILE - 1) / TILE; }
+  int tiles_y() const { return (height + TILE - 1) / TILE; }
+  int tiles() const { return tiles_x() * tiles_y(); }
+  int pictures() const { return scenes * views; }
+};
+
+// The arguments of a call. Arrays are contiguous; the leading axis is the scene.
+struct Inputs : Sizes {
   const float *means, *quats, *scales, *opacities, *sh, *cam_from_world, *intrinsics, *features;
   const std::int64_t* anchor_index;
   double near, far, eps2d, alpha_min, alpha_max, transmittance_min;
   float background[3];
-
-  int tiles_x() const { return (width + TILE - 1) / TILE; }
-  int tiles_y() const { return (height + TILE - 1) / TILE; }
-  int pictures() const { return scenes * views; }
 };
 
 // One projected Gaussian, a cache line. The log2 of its alpha at mean - (dx, dy) is

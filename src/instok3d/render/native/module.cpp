@@ -8,6 +8,7 @@
 
 #include <limits>
 #include <memory>
+#include <new>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -31,6 +32,8 @@ template <int AXES>
 using MaybeFloats = std::optional<Floats<AXES>>;
 using Output = nb::ndarray<nb::pytorch, float, nb::c_contig, nb::device::cpu>;
 
+constexpr std::size_t MAX_CHANNELS = std::size_t(1) << 20;  // times the pixels of a tile is an int
+
 // The fastest first.
 std::vector<const Kernels*> usable_kernels() {
   std::vector<const Kernels*> result;
@@ -53,10 +56,14 @@ const Kernels& kernels_named(const std::string& name) {
 // A tensor in reused memory, which goes back when the tensor is gone.
 Output tensor(float*& data, std::initializer_list<std::size_t> shape) {
   std::size_t size = sizeof(float);
-  for (const std::size_t length : shape) size *= length;
-  auto* buffer = new Buffer(size);
+  for (const std::size_t length : shape) {
+    if (length && size > std::numeric_limits<std::size_t>::max() / length) throw std::bad_alloc();
+    size *= length;
+  }
+  auto buffer = std::make_unique<Buffer>(size);
   data = buffer->as<float>();
-  const nb::capsule owner(buffer, [](void* p) noexcept { delete static_cast<Buffer*>(p); });
+  const nb::capsule owner(buffer.get(), [](void* p) noexcept { delete static_cast<Buffer*>(p); });
+  buffer.release();
   return Output(data, shape, owner);
 }
 
@@ -65,12 +72,6 @@ struct Settings {
   double near, far, eps2d, alpha_min, alpha_max, transmittance_min;
   float red, green, blue;
 };
-
-void require_int(const char* name, std::size_t length) {
-  if (length > std::size_t(std::numeric_limits<int>::max())) {
-    throw std::invalid_argument(std::string("too many ") + name + ": " + std::to_string(length));
-  }
-}
 
 Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& scales,
               const Floats<2>& opacities, const Floats<4>& sh,
@@ -91,22 +92,17 @@ Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& s
     throw std::invalid_argument("sh must have 1, 4, 9 or 16 coefficients");
   }
   if (s.height < 1 || s.width < 1) throw std::invalid_argument("the picture has no pixel");
-  require_int("Gaussians", gaussians);
-  require_int("pictures", scenes * views);
-  require_int("pixels", std::size_t(s.height) * std::size_t(s.width));
-  if (features) {
-    require_int("anchors", features->shape(1));
-    require_int("channels", features->shape(2));
-  }
+  require_length("pixels of a picture", std::size_t(s.height) * std::size_t(s.width), MAX_LENGTH);
   Inputs in;
-  in.scenes = static_cast<int>(means.shape(0));
-  in.gaussians = static_cast<int>(means.shape(1));
-  in.views = static_cast<int>(cam_from_world.shape(1));
-  in.coefficients = static_cast<int>(sh.shape(2));
-  in.anchors = features ? static_cast<int>(features->shape(1)) : 0;
-  in.channels = features ? static_cast<int>(features->shape(2)) : 0;
-  in.height = s.height;
-  in.width = s.width;
+  in.scenes = require_length("scenes", scenes, MAX_LENGTH);
+  in.views = require_length("views", views, MAX_LENGTH);
+  require_length("pictures", scenes * views, MAX_LENGTH);
+  in.gaussians = require_length("Gaussians of a scene", gaussians, MAX_LENGTH);
+  in.coefficients = static_cast<int>(coefficients);
+  in.anchors = features ? require_length("anchors", features->shape(1), MAX_LENGTH) : 0;
+  in.channels = features ? require_length("channels", features->shape(2), MAX_CHANNELS) : 0;
+  in.height = require_length("rows of a picture", s.height, MAX_SIDE);
+  in.width = require_length("columns of a picture", s.width, MAX_SIDE);
   in.means = means.data();
   in.quats = quats.data();
   in.scales = scales.data();
@@ -126,14 +122,6 @@ Inputs inputs(const Floats<3>& means, const Floats<3>& quats, const Floats<3>& s
   in.background[1] = s.green;
   in.background[2] = s.blue;
   return in;
-}
-
-// A frame holds the lists of what was drawn: other inputs would be read beyond their end.
-void require_frame(const Frame& frame, const Inputs& in) {
-  bool fits = frame.pictures.size() == std::size_t(in.pictures()) &&
-              frame.slots.size() == std::size_t(in.pictures()) * in.tiles_x() * in.tiles_y();
-  for (const Bins& bins : frame.pictures) fits = fits && bins.gaussians() == in.gaussians;
-  if (!fits) throw std::invalid_argument("the frame was drawn from inputs of other sizes");
 }
 
 template <class T>
@@ -180,7 +168,9 @@ nb::tuple backward(const Frame& frame, const Floats<3>& means, const Floats<3>& 
   const Inputs in = inputs(means, quats, scales, opacities, sh, anchor_index, cam_from_world,
                            intrinsics, features, s);
   const Kernels& kernels = kernels_named(instruction_set);
-  require_frame(frame, in);
+  if (!(frame.sizes == in)) {
+    throw std::invalid_argument("the frame was drawn from inputs of other sizes");
+  }
   const auto require_images = [&](const char* name, const auto& array, std::size_t channels) {
     require_shape(name, array, {std::size_t(in.scenes), std::size_t(in.views), channels,
                                 std::size_t(in.height), std::size_t(in.width)});

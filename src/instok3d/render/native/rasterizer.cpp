@@ -101,9 +101,9 @@ void require_anchors(bool exist) {
 std::unique_ptr<Frame> draw_all(const Inputs& in, const Kernels& kernels, const Images& images,
                                 int wanted_threads) {
   const int threads = usable_threads(wanted_threads);
-  const int pictures = in.pictures(), tiles = in.tiles_x() * in.tiles_y();
-  const int parts = divided_up(in.gaussians, CHUNK);
-  auto frame = std::make_unique<Frame>();
+  const int pictures = in.pictures();
+  const std::int64_t tiles = in.tiles(), parts = divided_up(in.gaussians, CHUNK);
+  auto frame = std::make_unique<Frame>(in);
   for (int picture = 0; picture < pictures; ++picture) {
     frame->cameras.push_back(camera_of(in, picture));
     frame->pictures.emplace_back(in.gaussians, in.height, in.width);
@@ -189,13 +189,13 @@ struct AnchorRows {
 // One slice of channels of one scene: adds up the rows in order.
 void sum_rows(const Inputs& in, const AnchorRows& rows, int scene, int first_channel, float* out) {
   const int count = std::min(CHANNEL_SLICE, in.channels - first_channel);
-  const int tiles = in.tiles_x() * in.tiles_y() * in.views;
+  const std::int64_t tiles = std::int64_t(in.tiles()) * in.views;
   out += std::int64_t(scene) * in.anchors * in.channels + first_channel;
   for (int anchor = 0; anchor < in.anchors; ++anchor) {
     std::memset(out + std::int64_t(anchor) * in.channels, 0, sizeof(float) * count);
   }
-  const std::int64_t begin = rows.begin[std::int64_t(scene) * tiles];
-  const std::int64_t end = rows.begin[std::int64_t(scene + 1) * tiles];
+  const std::int64_t begin = rows.begin[scene * tiles];
+  const std::int64_t end = rows.begin[(scene + 1) * tiles];
   for (std::int64_t row = begin; row < end; ++row) {
     float* to = out + std::int64_t(rows.anchors.as<std::int32_t>()[row]) * in.channels;
     const float* from = rows.grads.as<float>() + row * rows.channels + first_channel;
@@ -209,9 +209,9 @@ void draw_all_backward(const Inputs& in, const Kernels& kernels, const Frame& fr
                        const ConstImages& images, const ConstImages& grads, const Gradients& out,
                        int wanted_threads) {
   const int threads = usable_threads(wanted_threads);
-  const int pictures = in.pictures(), tiles = in.tiles_x() * in.tiles_y();
-  const int parts = divided_up(in.gaussians, CHUNK);
-  const int slices = divided_up(in.channels, CHANNEL_SLICE);
+  const int pictures = in.pictures();
+  const std::int64_t tiles = in.tiles(), parts = divided_up(in.gaussians, CHUNK);
+  const std::int64_t slices = divided_up(in.channels, CHANNEL_SLICE);
   std::vector<Buffer> pairs;
   std::vector<Workspace> memory;
   std::unique_ptr<AnchorRows> rows;
@@ -246,16 +246,17 @@ void draw_all_backward(const Inputs& in, const Kernels& kernels, const Frame& fr
       [&] { return in.scenes * (parts + (rows ? slices : 0)); },
       [&](std::int64_t task, int) {
         if (task >= in.scenes * parts) {
-          const int slice = static_cast<int>(task - in.scenes * parts);
-          return sum_rows(in, *rows, slice / slices, slice % slices * CHANNEL_SLICE, out.features);
+          const std::int64_t slice = task - in.scenes * parts;
+          return sum_rows(in, *rows, static_cast<int>(slice / slices),
+                          static_cast<int>(slice % slices) * CHANNEL_SLICE, out.features);
         }
         const int scene = static_cast<int>(task / parts);
         const int begin = static_cast<int>(task % parts) * CHUNK;
         const int first = scene * in.views;
-        kernels.project_backward(in, &frame.cameras[first], &records[first], &emissions[first],
-                                 scene, begin, std::min(begin + CHUNK, in.gaussians),
-                                 out.gaussians,
-                                 camera_sums.as<double>() + 12 * in.views * task);
+        kernels.project_backward(in, frame.cameras.data() + first, records.data() + first,
+                                 emissions.data() + first, scene, begin,
+                                 std::min(begin + CHUNK, in.gaussians), out.gaussians,
+                                 camera_sums.as<double>() + std::int64_t(12) * in.views * task);
       }};
   run_stages(threads, {draw, gather});
 
@@ -265,7 +266,7 @@ void draw_all_backward(const Inputs& in, const Kernels& kernels, const Frame& fr
     double sums[12] = {};
     for (int part = 0; part < parts; ++part) {
       const double* from = camera_sums.as<double>() +
-                           12 * ((std::int64_t(scene) * parts + part) * in.views + view);
+                           12 * ((scene * parts + part) * in.views + view);
       for (int k = 0; k < 12; ++k) sums[k] += from[k];
     }
     for (int k = 0; k < 16; ++k) to[k] = k < 12 ? static_cast<float>(sums[k]) : 0;

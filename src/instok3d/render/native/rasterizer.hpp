@@ -11,8 +11,9 @@ namespace instok3d {
 
 // What a forward pass leaves for its backward pass.
 struct Frame {
-  Frame() = default;
+  explicit Frame(const Sizes& drawn) : sizes(drawn) {}
   Frame(const Frame&) = delete;
+  Sizes sizes;  // of what was drawn: a backward pass of others would read beyond the lists
   std::vector<Camera> cameras;
   std::vector<Bins> pictures;
   std::vector<std::int32_t> slots;  // anchors in each tile of each picture

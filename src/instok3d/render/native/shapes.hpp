@@ -25,4 +25,14 @@ void require_shape(const char* name, const Array& array, std::initializer_list<s
                               wanted + ")");
 }
 
+// The length of an axis as an int. Throws std::invalid_argument above the limit.
+inline int require_length(const char* name, std::size_t length, std::size_t limit) {
+  if (length <= limit) return static_cast<int>(length);
+  throw std::invalid_argument(std::string(name) + " are " + std::to_string(length) +
+                              ", the kernels take at most " + std::to_string(limit));
+}
+
+constexpr std::size_t MAX_LENGTH = std::size_t(1) << 30;  // of axes that are counted by ints
+constexpr std::size_t MAX_SIDE = std::size_t(1) << 24;    // of an image: floats count its pixels
+
 }  // namespace instok3d

@@ -62,8 +62,8 @@ struct Patch {
 };
 
 Patch warp_patch(const AlignmentInputs& in, int scene, int cell, float start[2]) {
-  const float* warp = in.warps + scene * 9;
-  const float* shift = in.shifts + scene * 3;
+  const float* warp = in.warps + std::int64_t(scene) * 9;
+  const float* shift = in.shifts + std::int64_t(scene) * 3;
   const float* photo = in.own_photos + std::int64_t(scene) * 3 * in.own_height * in.own_width;
   const float* peak = in.peaks + (std::int64_t(scene) * in.cells + cell) * 2;
   const float depth = in.depths[std::int64_t(scene) * in.cells + cell];
@@ -73,8 +73,9 @@ Patch warp_patch(const AlignmentInputs& in, int scene, int cell, float start[2])
   for (int p = 0; p < PIXELS; ++p) {
     const float x = in.centers[cell * 2] + float(p % PATCH) + 0.5f * (1 - PATCH);
     const float y = in.centers[cell * 2 + 1] + float(p / PATCH) + 0.5f * (1 - PATCH);
-    const int column = std::min(std::max(int(std::floor(x)), 0), in.own_width - 1);
-    const int row = std::min(std::max(int(std::floor(y)), 0), in.own_height - 1);
+    // In this order of the arguments NaN becomes 0.
+    const int column = int(std::min(std::max(0.0f, std::floor(x)), float(in.own_width - 1)));
+    const int row = int(std::min(std::max(0.0f, std::floor(y)), float(in.own_height - 1)));
     patch.colors[p] = color_at(photo, in.own_height, in.own_width, row, column);
     float seen[3];
     for (int axis = 0; axis < 3; ++axis) {

@@ -37,12 +37,12 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
     throw std::invalid_argument("a photo has no pixel");
   }
   AlignmentInputs in;
-  in.scenes = int(photos.shape(0));
-  in.cells = int(centers.shape(0));
-  in.height = int(photos.shape(2));
-  in.width = int(photos.shape(3));
-  in.own_height = int(own_photos.shape(2));
-  in.own_width = int(own_photos.shape(3));
+  in.scenes = require_length("scenes", scenes, MAX_LENGTH);
+  in.cells = require_length("cells", cells, MAX_LENGTH);
+  in.height = require_length("rows of photos", photos.shape(2), MAX_SIDE);
+  in.width = require_length("columns of photos", photos.shape(3), MAX_SIDE);
+  in.own_height = require_length("rows of own_photos", own_photos.shape(2), MAX_SIDE);
+  in.own_width = require_length("columns of own_photos", own_photos.shape(3), MAX_SIDE);
   in.own_photos = own_photos.data();
   in.photos = photos.data();
   in.centers = centers.data();
@@ -69,7 +69,9 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
 NB_MODULE(_alignment, m) {
   m.def("align", &instok3d::align_arrays, nb::arg("own_photos"), nb::arg("photos"),
         nb::arg("centers"), nb::arg("depths"), nb::arg("peaks"), nb::arg("warps"),
-        nb::arg("shifts"), nb::arg("window"), nb::arg("pixels"), nb::arg("precision"),
+        nb::arg("shifts"), nb::arg("window"),
+        // Not converted: results would be written to a copy.
+        nb::arg("pixels").noconvert(), nb::arg("precision").noconvert(),
         nb::kw_only(), nb::arg("nearest"), nb::arg("largest_warp"), nb::arg("start_reach"),
         nb::arg("peak_reach"), nb::arg("nearest_error"), nb::arg("color_noise"),
         nb::arg("shared"), nb::arg("iterations"), nb::arg("threads"));
