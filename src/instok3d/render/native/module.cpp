@@ -220,7 +220,11 @@ nb::tuple backward(const Frame& frame, const Floats<3>& means, const Floats<3>& 
 NB_MODULE(_rasterizer, m) {
   using namespace instok3d;
   m.doc() = "Native rasterizer of 3D Gaussians; use instok3d.render.render.";
-  nb::class_<Frame>(m, "Frame", "What a forward pass leaves for its backward pass.");
+  // A graph that is alive when Python ends, as one in a global or in the traceback of an error, is
+  // no leak. That frames go with their graph is tested; these warnings are of this domain alone.
+  nb::set_leak_warnings(false);
+  nb::class_<Frame>(m, "Frame", nb::is_weak_referenceable(),
+                    "What a forward pass leaves for its backward pass.");
   nb::class_<Settings>(m, "Settings", "Size, clipping planes, thresholds and background.")
       .def(nb::init<int, int, double, double, double, double, double, double, float, float,
                     float>(),
