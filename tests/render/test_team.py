@@ -90,7 +90,9 @@ def test_no_allocation_that_fails_ends_the_process(tmp_path: Path, flags: list):
     ]
     build = ["g++", "-std=c++17", "-O0", *flags, f"-I{NATIVE}", *map(str, sources), "-o"]
     subprocess.run([*build, str(tmp_path / "program")], check=True)
-    ended = subprocess.run([str(tmp_path / "program")], capture_output=True, text=True)
+    ended = subprocess.run(
+        [str(tmp_path / "program")], capture_output=True, text=True, timeout=patience.SECONDS
+    )
     assert ended.stdout.splitlines() == [
         "1 threads, more than 20 thrown", "3 threads, more than 20 thrown", "and drawn",
     ], ended.stderr  # fmt: skip
