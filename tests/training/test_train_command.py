@@ -7,6 +7,7 @@ from safetensors.torch import load_file
 
 from fake_rooms import FakeRooms
 from instok3d.cli import main
+from instok3d.datasets.opening import open_training_scenes
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import read_config
 
@@ -81,6 +82,22 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path, capsys, monkeypa
     assert lines["steps"].startswith("20000 updates, ")
     assert lines["frozen"].endswith("M parameters: backbone 8.91 M")
     assert "give the run that made it with --init-from" in lines["missing"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("data", [[], ["--data", "nowhere"]])
+def test_a_dry_run_needs_no_scenes_and_a_run_does(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("instok3d.cli.train_runs.open_training_scenes", open_training_scenes)
+    assert main(["train", "scannet-adapt", *data, "--dry-run"]) == 0
+    shown = capsys.readouterr()
+    lines = dict(line.split(maxsplit=1) for line in shown.out.splitlines())
+    assert lines["scenes"].startswith("none yet; needed are scenes of ScanNet")
+    assert lines["missing"].startswith("scenes to train on: make them by `instok3d data prepare")
+    assert lines["time"].startswith("about ")
+    assert ("nowhere holds neither rooms" in shown.err) == bool(data)
+    assert main(["train", "scannet-adapt", *data, "-o", "run"]) == 2
+    assert ("nowhere" if data else "give --data DIR") in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

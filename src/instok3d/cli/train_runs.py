@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +27,9 @@ from instok3d.weights import weights_path
 class RunArguments:
     """Where a run reads and writes."""
 
-    data: Path
+    data: Path | None = None
     """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
-    those of the training split are used."""
+    those of the training split are used. --dry-run alone does without."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
     resume: bool = False
@@ -75,18 +76,18 @@ def preset_command(name: str) -> Callable[..., None]:
                     "command that began it"
                 )
             config = overlay(begun, default, config)
-        source = open_training_scenes(arguments.data, masks=config.masks)
         if arguments.dry_run:
-            show_plan(arguments, config, source)
+            show_plan(arguments, config)
         else:
-            run_training(arguments, config, source)
+            run_training(arguments, config)
 
     run.__doc__ = f"Train with the preset {name}; every setting can be changed."
     return run
 
 
-def show_plan(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
-    """Print what the run would do."""
+def show_plan(arguments: RunArguments, config: TrainConfig) -> None:
+    """Print what the run would do, also without scenes."""
+    source = _planned_scenes(arguments.data, config)
     processes = arguments.gpus
     if processes is None:
         processes = int(os.environ.get("WORLD_SIZE", 1 if config.device == "cpu" else 4))
@@ -101,7 +102,18 @@ def show_plan(arguments: RunArguments, config: TrainConfig, source: SceneSource)
     print(plan_text(plan, gpu=arguments.gpu))
 
 
-def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSource) -> None:
+def _planned_scenes(folder: Path | None, config: TrainConfig) -> SceneSource | None:
+    """The scenes, or None where there are none yet; says so on stderr if a folder was named."""
+    if folder is None:
+        return None
+    try:
+        return open_training_scenes(folder, masks=config.masks)
+    except FileNotFoundError as error:
+        print(f"instok3d: note: planned without scenes: {error}", file=sys.stderr)
+        return None
+
+
+def run_training(arguments: RunArguments, config: TrainConfig) -> None:
     """Train; one JSON object on stdout says how it ended.
 
     Raises:
@@ -111,6 +123,9 @@ def run_training(arguments: RunArguments, config: TrainConfig, source: SceneSour
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
     assert arguments.output is not None
+    if arguments.data is None:
+        raise ValueError("a run needs scenes: give --data DIR, or --dry-run to see the plan")
+    source = open_training_scenes(arguments.data, masks=config.masks)
     check_device(config.device)
     check_memory(config, *check_scenes(config, source))
     stage, init_from = config.stage.build(), arguments.init_from

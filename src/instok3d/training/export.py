@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from instok3d.backbones.base import BackboneConfig
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
 from instok3d.training.run_log import read_metrics
@@ -55,6 +54,4 @@ def export_model(
 def _image_side(checkpoint: dict[str, Any], stage: StageConfig) -> int:
     if checkpoint.get("image_size"):
         return min(checkpoint["image_size"])
-    # Older checkpoints do not say; their runs were on pictures for which the backbone is made.
-    backbone = stage.workload().backbone
-    return BackboneConfig().image_side if backbone is None else backbone.image_side
+    return stage.picture_side()  # older checkpoints do not say, and had no others

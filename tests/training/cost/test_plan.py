@@ -19,7 +19,7 @@ from instok3d.training.cost.estimate import (
     samples_per_batch,
     targets_of,
 )
-from instok3d.training.cost.plan import make_plan, plan_text
+from instok3d.training.cost.plan import PlannedScenes, make_plan, plan_text
 from instok3d.training.cost.scene_check import check_scenes
 
 
@@ -123,7 +123,7 @@ def test_scenes_that_are_too_short_are_counted_and_left_out():
     config = small("nano-tokenizer")
     config = replace(config, batches=replace(config.batches, views=(2, 8)))
     plan = make_plan(config, source, num_gpus=1, gpu="a6000", init_from=None)
-    assert (plan.scenes, plan.held_out, plan.too_short, plan.frames) == (2, 1, 2, 32)
+    assert plan.data == PlannedScenes(scenes=2, held_out=1, too_short=2, frames=32)
     with pytest.raises(ValueError, match=r"no scene is left .* 2 have fewer than 15 frames"):
         make_plan(config, Rooms((16, 3, 4)), num_gpus=1, gpu="a6000", init_from=None)
 
@@ -202,3 +202,35 @@ def test_the_papers_run_is_planned_without_its_weights(tmp_path, monkeypatch):
     adapt = make_plan(small("scannet-adapt"), source, num_gpus=4, gpu="h200", init_from=None)
     assert adapt.hours < 6  # as in the paper
     assert "vggt-1b" in plan_text(adapt, gpu="h200")
+
+
+@pytest.mark.parametrize(
+    ("name", "needed", "command"),
+    [
+        ("scannet-2view", "scenes of ScanNet of at least 3 frames, with instance ids", "scannet"),
+        ("scannet-adapt", "scenes of ScanNet of at least 3 frames; the first 8", "scannet"),
+        ("re10k-2view", "scenes of RealEstate10K of at least 46 frames, with masks by", "re10k"),
+        (
+            "nano-geometry",
+            "rendered rooms (1.8 MB each) of at least 15 frames, with depth",
+            "rooms",
+        ),
+    ],
+)
+def test_without_scenes_the_plan_says_which_it_needs_and_what_it_takes(name, needed, command):
+    plan = make_plan(preset(name), None, num_gpus=4, gpu="a6000", init_from=None)
+    text = plan_text(plan, gpu="a6000")
+    assert f"none yet; needed are {needed}" in text
+    assert f"instok3d data {'' if command == 'rooms' else 'prepare '}{command}" in plan.missing[0]
+    assert ("data masks DIR --model sam2" in plan.missing[0]) == (name == "re10k-2view")
+    assert "of each scene" not in text
+
+
+def test_a_plan_without_scenes_counts_as_one_with_scenes_of_the_papers_size():
+    config = small("scannet-2view")
+    with_them = make_plan(config, Large((60, 60, 60)), num_gpus=4, gpu="a6000", init_from=None)
+    without = make_plan(config, None, num_gpus=4, gpu="a6000", init_from=None)
+    assert (without.height, without.width) == (256, 256)
+    for name in ("hours", "memory_bytes", "disk_bytes", "samples", "parts", "rates"):
+        assert getattr(with_them, name) == getattr(without, name)
+    assert without.missing[1:] == with_them.missing

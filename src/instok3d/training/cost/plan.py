@@ -21,6 +21,7 @@ from instok3d.training.cost.estimate import (
     training_memory_bytes,
 )
 from instok3d.training.cost.scene_check import check_scenes
+from instok3d.training.cost.wanted_data import how_to_get_scenes, wanted_scenes
 from instok3d.training.schedule import learning_rate
 from instok3d.training.stages.answers import NeededWeights
 from instok3d.weights import weights_path
@@ -33,13 +34,10 @@ class Plan:
     """A run, counted."""
 
     stage: str
-    scenes: int
-    """That are trained on."""
-    held_out: int
-    too_short: int
-    """Scenes with fewer frames than a sample needs; they are left out."""
-    frames: int
-    """Of the scenes that are trained on."""
+    data: "PlannedScenes | None"
+    """None where there are no scenes yet."""
+    wanted_data: str
+    """What the scenes have to be."""
     height: int
     width: int
     views: tuple[int, ...]
@@ -67,25 +65,38 @@ class Plan:
         return self.samples_per_process * self.accumulate * self.processes
 
     @property
-    def passes(self) -> float:
-        """How often each scene is seen."""
-        return self.steps * self.samples_per_update / self.scenes
+    def samples(self) -> float:
+        """Of the whole run."""
+        return self.steps * self.samples_per_update
+
+
+@dataclass(frozen=True)
+class PlannedScenes:
+    """The scenes of a run, counted."""
+
+    scenes: int
+    """That are trained on."""
+    held_out: int
+    too_short: int
+    """Scenes with fewer frames than a sample needs; they are left out."""
+    frames: int
+    """Of the scenes that are trained on."""
 
 
 def make_plan(
     config: TrainConfig,
-    source: SceneSource,
+    source: SceneSource | None,
     *,
     num_gpus: int,
     gpu: str,
     init_from: Path | None,
     resume: bool = False,
 ) -> Plan:
-    """Count a run; reads a few frames, needs no weights, writes nothing.
+    """Count a run; reads a few frames, needs no weights and no scenes, writes nothing.
 
     Args:
         config: Its settings.
-        source: Its scenes.
+        source: Its scenes; without any, pictures are taken to be of the backbone's own size.
         num_gpus: Processes, one for each GPU.
         gpu: One of PEAK_TFLOPS.
         init_from: As it would be given to the run.
@@ -97,27 +108,18 @@ def make_plan(
     if num_gpus < 1:
         raise ValueError(f"the number of processes must be at least 1, got {num_gpus}")
     batches, views = config.batches, max(config.batches.views)
-    height, width = check_scenes(config, source)
-    counts = [source.num_frames(number) for number in range(len(source))]
-    training = counts[config.holdout :]
-    needed = frames_needed(views, batches.sampling)
-    kept = [count for count in training if count >= needed]
-    if not kept:
-        raise ValueError(
-            f"no scene is left to train on: {len(counts)} scenes, {config.holdout} held out, of "
-            f"the rest {len(training)} have fewer than {needed} frames; lower --holdout or "
-            "prepare more scenes"
-        )
+    data, height, width = None, config.stage.picture_side(), config.stage.picture_side()
+    if source is not None:
+        height, width = check_scenes(config, source)
+        data = _counted(config, source)
     model = model_on_paper(config)
     samples = [samples_per_batch(config, each) for each in batches.views]
     flop = flop_per_batch(config, model, height, width) * config.accumulate * num_gpus
     on_gpu = config.device != "cpu"
     return Plan(
         stage=config.stage.name,
-        scenes=len(kept),
-        held_out=min(config.holdout, len(counts)),
-        too_short=len(training) - len(kept),
-        frames=sum(kept),
+        data=data,
+        wanted_data=wanted_scenes(config),
         height=height,
         width=width,
         views=tuple(sorted(set(batches.views))),
@@ -132,7 +134,29 @@ def make_plan(
         memory_bytes=training_memory_bytes(config, model, height, width),
         disk_bytes=disk_bytes(model, averaged=config.ema_decay > 0),
         rates=tuple((step, _rate(config, step)) for step in _steps_to_show(config)),
-        missing=tuple(_missing(config, init_from, resume)),
+        missing=tuple(
+            ([] if source is not None else [f"scenes to train on: {how_to_get_scenes(config)}"])
+            + _missing(config, init_from, resume)
+        ),
+    )
+
+
+def _counted(config: TrainConfig, source: SceneSource) -> PlannedScenes:
+    counts = [source.num_frames(number) for number in range(len(source))]
+    training = counts[config.holdout :]
+    needed = frames_needed(max(config.batches.views), config.batches.sampling)
+    kept = [count for count in training if count >= needed]
+    if not kept:
+        raise ValueError(
+            f"no scene is left to train on: {len(counts)} scenes, {config.holdout} held out, of "
+            f"the rest {len(training)} have fewer than {needed} frames; lower --holdout or "
+            "prepare more scenes"
+        )
+    return PlannedScenes(
+        scenes=len(kept),
+        held_out=min(config.holdout, len(counts)),
+        too_short=len(training) - len(kept),
+        frames=sum(kept),
     )
 
 
@@ -145,13 +169,12 @@ def plan_text(plan: Plan, *, gpu: str) -> str:
     paper = f" (the paper: {PAPER_BATCH})" if plan.hours and update != PAPER_BATCH else ""
     lines = {
         "stage": plan.stage,
-        "scenes": f"{plan.scenes} to train on with {plan.frames} frames, {plan.held_out} held out"
-        + (f", {plan.too_short} too short" if plan.too_short else ""),
+        "scenes": _scenes_text(plan),
         "sample": f"{each} context views, {plan.targets} targets of {plan.height} x {plan.width}",
         "update": f"{update:.4g} samples = {plan.samples_per_process:.4g} in a batch x "
         f"{plan.accumulate} accumulated x {plan.processes} processes{paper}",
-        "steps": f"{plan.steps} updates, {plan.steps * update:.0f} samples, "
-        f"{plan.passes:.1f} of each scene",
+        "steps": f"{plan.steps} updates, {plan.samples:.0f} samples"
+        + (f", {plan.samples / plan.data.scenes:.1f} of each scene" if plan.data else ""),
         "learning rate": ", ".join(f"{rate:.1e} at {step}" for step, rate in plan.rates),
         "trained": f"{sum(p.trained for p in plan.parts) / 1e6:.2f} M parameters: "
         + ", ".join(trained),
@@ -165,6 +188,14 @@ def plan_text(plan: Plan, *, gpu: str) -> str:
         "missing": "; ".join(plan.missing) or "nothing",
     }
     return "\n".join(f"{name:14} {text}" for name, text in lines.items())
+
+
+def _scenes_text(plan: Plan) -> str:
+    data = plan.data
+    if data is None:
+        return f"none yet; needed are {plan.wanted_data}"
+    short = f", {data.too_short} too short" if data.too_short else ""
+    return f"{data.scenes} to train on with {data.frames} frames, {data.held_out} held out{short}"
 
 
 def _time_text(plan: Plan, gpu: str) -> str:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from PIL.Image import Image
 from torch import Tensor, nn
 
+from instok3d.backbones.base import BackboneConfig
 from instok3d.data.sample import Sample
 from instok3d.training.stages.answers import (
     AveragedRun,
@@ -105,6 +106,11 @@ class StageConfig(ABC):
     @abstractmethod
     def workload(self) -> Workload:
         """What a training step computes, for the estimate of time and memory."""
+
+    def picture_side(self) -> int:
+        """Height and width of the pictures that the backbone is made for, pixels."""
+        backbone = self.workload().backbone
+        return BackboneConfig().image_side if backbone is None else backbone.image_side
 
     def data_needs(self) -> DataNeeds:
         """What every scene must have beside photos and cameras."""
