@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 from importlib.resources import files
 from pathlib import Path
 
@@ -85,12 +86,16 @@ def test_the_python_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for module in ("instok3d.scene.reconstruct", "instok3d.model.files"):
         monkeypatch.setattr(f"{module}.DEFAULT_MODEL", model)
     monkeypatch.chdir(tmp_path)
+    # In the folder where the commands above it have run.
+    commands = [our_words(words) for words in command_lines(section("Your photos"))]
+    assert [words[0] for words in commands if words] == ["reconstruct", "info", "render", "export"]
+    assert all(words and main(words) == 0 for words in commands)
     exec(compile(code, "README.md", "exec"), {})
     assert (tmp_path / "room.itk" / "scene.json").is_file()
 
 
 @pytest.mark.slow
-def test_the_first_result_comes_out(tmp_path: Path):
+def test_the_first_result_comes_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if not (DEFAULT_MODEL.is_file() and DEMO_PHOTOS.is_dir()):
         pytest.skip("the default model and the demo's photos are not in this tree")
     scene = tmp_path / "demo.itk"
@@ -98,6 +103,11 @@ def test_the_first_result_comes_out(tmp_path: Path):
     named = re.findall(r"`demo\.itk/(\S+)`", section("First result"))
     assert named
     assert all((scene / path).is_file() for path in named)
+    drawn = re.findall(r"`instok3d (render demo\.itk [^`]+)`", section("Your photos"))
+    assert len(drawn) == 1
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(drawn[0])) == 0
+    assert (tmp_path / "object.png").is_file()
 
 
 def test_the_file_tree_names_what_is_there():
@@ -118,3 +128,16 @@ def test_links_lead_somewhere(path: Path):
 
 def test_the_readme_is_short():
     assert len(README.splitlines()) <= 200
+
+
+def test_training_is_one_script_with_what_it_needs():
+    install, script, use = command_lines(section("Train your own"))
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    assert install[-1] == ".[rooms]"
+    assert "rooms" in extras
+    assert script[0] == "bash"
+    lines = (ROOT / script[1]).read_text()
+    written = use[use.index("--model") + 1].removeprefix(f"{script[2]}/")
+    assert f'-o "$folder/{written}"' in lines

@@ -7,16 +7,18 @@ for PyTorch.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from instok3d.scene.demo import demo
     from instok3d.scene.objects import SceneObject
     from instok3d.scene.reconstruct import load, reconstruct
     from instok3d.scene.scene import Scene
 
 __version__ = "0.1.0"
-__all__ = ["Scene", "SceneObject", "__version__", "load", "reconstruct"]
+__all__ = ["Scene", "SceneObject", "__version__", "demo", "load", "reconstruct"]
 
 _HOMES = {
     "Scene": "instok3d.scene.scene",
     "SceneObject": "instok3d.scene.objects",
+    "demo": "instok3d.scene.demo",
     "load": "instok3d.scene.reconstruct",
     "reconstruct": "instok3d.scene.reconstruct",
 }

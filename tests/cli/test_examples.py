@@ -1,5 +1,6 @@
 import runpy
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,22 @@ def test_render_and_export(
     run(monkeypatch, "02_export.py", tmp_path / "room.itk", tmp_path / "objects")
     assert len(read_ply(tmp_path / "objects/003.ply").means) == 8
     assert "object#3: 8 Gaussians" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
+def test_without_arguments_they_make_the_scene_of_the_demo_once_and_say_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    model, photos = made_model(tmp_path / "model.safetensors"), made_photos(tmp_path / "in")
+    for module in ("instok3d.scene.reconstruct", "instok3d.model.files"):
+        monkeypatch.setattr(f"{module}.DEFAULT_MODEL", model)
+    monkeypatch.setattr("instok3d.scene.demo.demo_photos", lambda: nullcontext(photos))
+    monkeypatch.chdir(tmp_path)
+    said = []
+    for name in ("01_render.py", "00_reconstruct.py", "02_export.py"):
+        run(monkeypatch, name)
+        said.append("demo.itk is not there: making it" in capsys.readouterr().out)
+    assert said == [True, False, False]
+    assert (tmp_path / "demo.itk/previews/contact_sheet.png").is_file()
+    assert (tmp_path / "between.png").is_file()
+    assert (tmp_path / "objects").is_dir()

@@ -1,6 +1,5 @@
 """`instok3d demo`: from nothing to a scene with what comes in the package."""
 
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
@@ -22,9 +21,7 @@ def run(
         timings: Print how long each stage took, on stderr.
     """
     from instok3d.cli.reconstruct import make_scene
+    from instok3d.scene.demo import demo_photos
 
-    folder = files("instok3d") / "assets" / "demo"
-    if not folder.is_dir():
-        raise FileNotFoundError("the demo's photos are missing from this installation: reinstall")
-    with as_file(folder) as photos:
+    with demo_photos() as photos:
         make_scene(photos, output, overwrite=overwrite, json=json, timings=timings)
