@@ -2,6 +2,11 @@ import os
 from pathlib import Path
 
 import pytest
+
+# Before torch: beside another busy process, threads that spin while they wait for each other make
+# many small parallel regions take up to forty times as long.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 import torch
 from jaxtyping import install_import_hook
 
