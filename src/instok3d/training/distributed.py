@@ -157,9 +157,15 @@ def share(stage: Stage, model: nn.Module, processes: Processes, strategy: Strate
         raise ValueError(
             f"strategy 'single' is for one process, got {processes.count}: choose ddp or fsdp"
         )
-    if strategy != "fsdp":
-        return DistributedDataParallel(loss, find_unused_parameters=not stage.learns_whole)
-    mesh = init_device_mesh(next(model.parameters()).device.type, (processes.count,))
+    return wrapped(loss, processes.count, "fsdp" if strategy == "fsdp" else "ddp")
+
+
+def wrapped(loss: SharedLoss, count: int, strategy: Literal["ddp", "fsdp"]) -> nn.Module:
+    """A loss under DDP or FSDP, for as many processes; also for one, to try them out."""
+    model = loss.model
+    if strategy == "ddp":
+        return DistributedDataParallel(loss, find_unused_parameters=not loss.stage.learns_whole)
+    mesh = init_device_mesh(next(model.parameters()).device.type, (count,))
     lists = [module for module in model.modules() if isinstance(module, nn.ModuleList)]
     units = [unit for members in lists for unit in members]
     scalars = {p for p in model.parameters() if p.ndim == 0}  # FSDP has no shards of them
