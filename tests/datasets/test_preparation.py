@@ -1,5 +1,6 @@
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,8 +19,14 @@ from instok3d.datasets.preparation import (
     plan_preparation,
     prepare,
 )
-from instok3d.datasets.prepared import read_index, verify
+from instok3d.datasets.prepared import PreparedScenes, read_index, verify
+from kill_points import every_kill
 from scene_jobs import frames_during_another_run, job, killing_frames, run, some_frames
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def test_the_report_counts_what_came_and_the_index_lists_it(tmp_path: Path):
@@ -152,6 +159,30 @@ def test_a_killed_run_takes_its_workers_along_and_can_be_finished(tmp_path: Path
     assert all(path.startswith(".instok3d-") and path.endswith(".part") for path in left)
     run([job("a"), job("b"), job("c")], out)
     assert list(verify(out)) == []
+
+
+def test_killed_at_any_operation_it_leaves_whole_scenes_and_is_gone_on_with(tmp_path: Path):
+    def prepare_two(folder: Path) -> None:
+        run([job("a", some_frames, 1), job("b", some_frames, 1)], folder)
+
+    def begun() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        return shutil.copytree(tmp_path / "begun", tmp_path / "work")
+
+    prepare_two(tmp_path / "straight")
+    whole = contents(tmp_path / "straight")
+    run([job("a", some_frames, 1)], tmp_path / "begun")
+    seen = set()
+    for folder in every_kill(begun, prepare_two, step=5):
+        scenes = PreparedScenes(folder)
+        names = [scenes.name_of(number) for number in range(len(scenes))]
+        seen.add(tuple(names))
+        for number in range(len(scenes)):
+            scenes.frames(number, range(scenes.num_frames(number)))
+        prepare_two(folder)
+        assert contents(folder) == whole
+        assert list(verify(folder)) == []
+    assert seen == {("a",), ("a", "b")}
 
 
 def test_two_runs_do_not_prepare_into_one_folder(tmp_path: Path):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import pickle
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from instok3d.rooms.shards import (
     shard_name,
     write_shard,
 )
-from kill_points import die_in
+from kill_points import die_in, every_kill
 from noise_rooms import noise_scene
 
 make_rooms = partial(generate_rooms, resolution=16, workers=1, progress=False)
@@ -215,6 +216,34 @@ def test_what_a_killed_run_left_is_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(generate, "render_scene", lambda seed, *rest: None)
     make_rooms(tmp_path, range(16))
     assert sorted(contents(tmp_path)) == ["rooms-0000000.safetensors", "rooms.json"]
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_killed_at_any_operation_it_leaves_whole_rooms_and_is_gone_on_with(tmp_path, monkeypatch):
+    monkeypatch.setattr(generate, "render_scene", lambda seed, *rest: noise_scene(seed))
+    make_rooms(tmp_path / "straight", range(2))
+    whole = contents(tmp_path / "straight")
+
+    def prepare() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        (tmp_path / "work").mkdir()
+        return tmp_path / "work"
+
+    def make(work: Path) -> None:
+        make_rooms(work / "rooms", range(2))
+
+    seen = set()
+    for work in every_kill(prepare, make, step=3):
+        folder = work / "rooms"
+        dataset = RoomDataset(folder) if (folder / "rooms.json").exists() else []
+        seen.add(len(dataset))
+        for number in range(len(dataset)):
+            room = dataset.scene(number)
+            assert np.array_equal(room.images, noise_scene(room.seed).images)
+        make(work)
+        assert contents(folder) == whole
+        assert [path.name for path in work.iterdir()] == ["rooms"]
+    assert seen == {0, 1, 2}
 
 
 def test_whole_shards_are_made_of_what_the_seeds_touch(tmp_path, monkeypatch):

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import asdict
+import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,13 @@ import pytest
 from PIL import Image
 
 from instok3d.datasets.prepared import PreparedScenes, verify
+from instok3d.datasets.prepared.masks import read_masks_record
 from instok3d.datasets.prepared.verifying import verify_scene
 from instok3d.datasets.pseudo_labels import writing
 from instok3d.datasets.pseudo_labels.association import AssociationConfig
 from instok3d.datasets.pseudo_labels.writing import LabelConfig, footage_clip, label, scene_clip
+from instok3d.locking import bring_back
+from kill_points import every_kill
 from prepared_scenes import made_folder
 from scannet_files import huge_png
 from true_masks import TrueClip, TrueMasks, boxes_clip
@@ -182,6 +186,31 @@ def test_two_runs_do_not_make_the_same_masks(prepared):
     assert len(heard) == 5
     assert list(verify(prepared)) == []
     assert not [path for path in scene.iterdir() if path.name.startswith(".")]
+
+
+def test_killed_at_any_operation_it_leaves_the_old_or_the_new_masks(prepared, tmp_path):
+    scene = prepared / "a"
+    old = LabelConfig(replace(CONFIG.association, keyframe_step=1))
+    label(scene_clip(scene, "sam2"), truth_of(scene), old)
+
+    def begun() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        return shutil.copytree(scene, tmp_path / "work")
+
+    def replace_masks(folder: Path) -> None:
+        label(scene_clip(folder, "sam2"), truth_of(folder), CONFIG, overwrite=True)
+
+    seen = set()
+    for folder in every_kill(begun, replace_masks, step=4):
+        bring_back(folder / "masks_sam2")
+        record = read_masks_record(folder / "masks_sam2")
+        step = record.settings["config"]["association"]["keyframe_step"]
+        seen.add(step)
+        label(scene_clip(folder, "sam2"), truth_of(folder), CONFIG, overwrite=step == 1)
+        assert sorted(path.name for path in folder.iterdir()) == [
+            "depths", "images", "instances", "masks_sam2", "scene.json"
+        ]  # fmt: skip
+    assert seen == {1, 2}
 
 
 def test_training_refuses_masks_that_do_not_fit_the_frames_or_each_other(tmp_path):

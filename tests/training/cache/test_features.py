@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -30,6 +31,8 @@ from instok3d.training.held_out import validation_samples
 from instok3d.training.loop import train
 from instok3d.training.stages.tokenizer import TokenizerStage, TokenizerStageConfig
 from instok3d.types import Geometry, Views
+from kill_points import every_kill
+from plane_backbone import PlaneBackbone, PlaneConfig
 
 SIZES = TokenizerConfig(
     width=64,
@@ -340,6 +343,50 @@ def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path
     assert names == sorted(path.name for path in (cache / "scenes").iterdir())
     for name in names:
         assert (tmp_path / "scenes" / name).read_bytes() == (cache / "scenes" / name).read_bytes()
+
+
+@pytest.mark.usefixtures("plane")
+def test_killed_at_any_operation_a_cache_is_gone_on_with_or_begun_anew(tmp_path: Path):
+    """Another backbone may begin it anew as long as no index says whose features it holds."""
+    small = replace(
+        CONFIG,
+        stage=replace(STAGE, backbone=PlaneConfig()),
+        batches=replace(CONFIG.batches, views=(2,), samples_per_scene=1),
+        validation_views=(2,),
+    )
+    torch.manual_seed(0)
+    weights, others = (PlaneBackbone(PlaneConfig()).state_dict() for _ in range(2))
+    threads = torch.get_num_threads()
+
+    def prepare() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        (tmp_path / "work").mkdir()
+        return tmp_path / "work"
+
+    def fill(work: Path, own: dict[str, torch.Tensor] = weights) -> None:
+        fill_cache(small, FEW, work / "cache", own)
+
+    seen = set()
+    torch.set_num_threads(1)  # it is forked
+    try:
+        for work in every_kill(prepare, fill, step=5):
+            begun = (work / "cache" / "features.json").exists()
+            cache = FeatureCache(work / "cache") if begun else None
+            made = [name for name in "01" if cache is not None and cache.has_scene(name)]
+            for name in made:
+                assert cache is not None
+                assert "settings" in cache.scene_metadata(name)
+            seen.add((begun, len(made)))
+            fill(work, weights if begun else others)
+            FeatureCache(work / "cache").backbone_weights()
+            found = sorted(str(path.relative_to(work)) for path in work.rglob("*"))
+            assert found == [
+                "cache", "cache/backbone.safetensors", "cache/features.json", "cache/scenes",
+                "cache/scenes/0.safetensors", "cache/scenes/1.safetensors",
+            ]  # fmt: skip
+    finally:
+        torch.set_num_threads(threads)
+    assert seen == {(False, 0), (True, 0), (True, 1), (True, 2)}
 
 
 def test_a_backbone_with_pointmaps_of_its_own_keeps_them(

@@ -20,7 +20,7 @@ from instok3d.datasets.pseudo_labels.statistics import (
     StatisticsOfClip,
 )
 from instok3d.files import replacing_folder, sha256_of, write_json
-from instok3d.locking import alone_in
+from instok3d.locking import alone_in, remove_leftovers
 from instok3d.version import generator
 
 
@@ -113,6 +113,7 @@ def label(
     clip.target.parent.mkdir(parents=True, exist_ok=True)
     refusal = f"another run is making {clip.target}; wait for its end"
     with alone_in(clip.target.with_name(f".{clip.target.name}.lock"), refusal):
+        remove_leftovers(clip.target.parent)
         return _label(clip, model, config, overwrite, progress or (lambda _: None))
 
 

@@ -151,7 +151,8 @@ def _begin(
     folder: Path, settings: dict[str, Any], backbone: GeometryBackbone, scenes: list[list[str]]
 ) -> None:
     """Write index and backbone of a new cache; take up new scenes in one that is there."""
-    if (folder / INDEX).exists():
+    is_new = not (folder / INDEX).exists()
+    if not is_new:
         before = read_index(folder)
         if found := differences(before["settings"], settings):
             raise ValueError(
@@ -160,7 +161,8 @@ def _begin(
             )
         known = (before["training"], before["held_out"])
         scenes = [list(dict.fromkeys(old + new)) for old, new in zip(known, scenes, strict=True)]
-    if not (folder / BACKBONE).exists():
+    # A run that was killed before it wrote the index may have left the weights of another backbone.
+    if is_new or not (folder / BACKBONE).exists():
         write_safetensors(folder / BACKBONE, backbone.state_dict())
     training, held_out = scenes
     index = {"format": FORMAT, "settings": settings, "training": training, "held_out": held_out}
