@@ -1,0 +1,1 @@
+"""Gaussians optimised on the photos that their scene was made from."""
