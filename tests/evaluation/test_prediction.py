@@ -127,3 +127,11 @@ def test_an_answer_that_is_no_number_is_an_error_that_names_the_sample(flat_samp
         groups = replace(groups, gaussians=gaussians)
     with pytest.raises(ValueError, match=rf"0 frames 7,9 .* {part}"):
         predict(lambda views: groups, flat_sample, "predicted")
+
+
+def test_refinement_on_the_context_photos_sharpens_the_targets(flat_sample):
+    plain = predict(oracle(flat_sample), flat_sample, "predicted")
+    refined = predict(oracle(flat_sample), flat_sample, "predicted", refine=20)
+    photos = flat_sample.target.images[0]
+    assert float(psnr(refined.images, photos)) > float(psnr(plain.images, photos)) + 0.5
+    assert refined.num_groups_used == plain.num_groups_used

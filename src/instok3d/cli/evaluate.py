@@ -38,6 +38,7 @@ def run(
     all_targets: bool = False,
     split: Literal["train", "val", "test"] = "test",
     pose_alignment_steps: int = 0,
+    refine: int = 0,
     lpips: str | None = None,
     baselines: bool = False,
     save: Path | None = None,
@@ -66,6 +67,8 @@ def run(
         all_targets: Every eighth-frame target of a scene, not its middle one (mipnerf360-2view).
         split: Which prepared scenes; rooms are told by their seeds.
         pose_alignment_steps: Fit each target camera to the target photo first; off as a rule.
+        refine: Steps in which the Gaussians are optimised on the context photos first, as
+            reconstruct does by default; 0 measures the paper's single forward pass.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
             it LPIPS is null.
         baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
@@ -82,9 +85,11 @@ def run(
     from instok3d.model.files import DEFAULT_MODEL, load_model, read_unit
     from instok3d.objectives.lpips import load_lpips
     from instok3d.progress import progress_bar
+    from instok3d.refinement.settings import check_steps
 
     if pose_alignment_steps < 0:
         raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
+    check_steps(refine)
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
     unit = read_unit(model)
@@ -93,6 +98,7 @@ def run(
         target_cameras=target_cameras,
         model_unit=unit,
         pose_alignment_steps=pose_alignment_steps,
+        refine=refine,
         ap=ApSettings(min_instance_area=20 if protocol.startswith("rooms-") else 0),
         baselines=baselines,
     )

@@ -17,12 +17,17 @@ from instok3d.geometry.camera_alignment import (
     cameras_in_prediction,
 )
 from instok3d.geometry.similarity import depth_scale
+from instok3d.refinement.optimization import refine_gaussians
+from instok3d.refinement.settings import RefinementSettings
 from instok3d.render import render
 from instok3d.types import Cameras, Geometry, TokenGroups, Views
 
 GeometryMode = Literal["predicted", "intrinsics", "given"]
 """'predicted': the model sees bare photos. 'intrinsics': photos and their true intrinsics, as the
 paper's model does. 'given': true cameras and depth too."""
+
+NEAR, FAR = 0.05, 100.0
+"""z-depths between which scenes are refined and rendered."""
 
 Model = Callable[[Views], TokenGroups]
 """A Tokenizer, or whatever answers like one."""
@@ -56,6 +61,7 @@ def predict(
     target_cameras: TargetCameras = "aligned",
     pose_alignment_steps: int = 0,
     alpha_min: float = 0.0,
+    refine: int = 0,
 ) -> Prediction:
     """Run the model on the context views of a sample and render its scene at the targets.
 
@@ -66,6 +72,7 @@ def predict(
         target_cameras: Where the targets are rendered; with given cameras always at the true ones.
         pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
         alpha_min: Pixels covered no more than this belong to no group.
+        refine: Steps of refinement on the context photos, at the cameras of the prediction.
 
     Raises:
         ValueError: The sample is no batch of one, or lacks true cameras or depth; or the model's
@@ -84,6 +91,11 @@ def predict(
     _check_finite(groups, sample.names[0])
     gaussians, pi = groups.gaussians.scene(0), groups.assignment[0]
     predicted = groups.geometry.cameras.scene(0)
+    if refine:
+        gaussians = refine_gaussians(
+            gaussians, predicted, sample.context.images[0], RefinementSettings(steps=refine),
+            near=NEAR, far=FAR,
+        ).gaussians  # fmt: skip
 
     def place(scale: float) -> Cameras:
         return cameras_in_prediction(
@@ -97,11 +109,14 @@ def predict(
         cameras = place(baseline_scale(predicted.cam_from_world, context.cam_from_world))
         if (sample.context.depths > 0).any():
             scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
-            by_depth = render(gaussians, place(scale), height, width).colors
+            by_depth = render(gaussians, place(scale), height, width, near=NEAR, far=FAR).colors
     cameras = refined_cameras(
         gaussians, cameras, sample.target.images[0], steps=pose_alignment_steps
     )
-    rendering = render(gaussians, cameras, height, width, anchor_features=pi[:, :-1].contiguous())
+    rendering = render(
+        gaussians, cameras, height, width, anchor_features=pi[:, :-1].contiguous(),
+        near=NEAR, far=FAR,
+    )  # fmt: skip
     assert rendering.features is not None
     winners = pi.argmax(dim=-1)
     return Prediction(

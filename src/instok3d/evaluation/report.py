@@ -90,6 +90,10 @@ def notes(report: EvaluationReport) -> list[str]:
     elif report.lpips_trunk != "vgg16":
         lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
     lines += _geometry_notes(report, word)
+    if report.settings.refine:
+        lines.append(
+            f"The Gaussians were refined on the context photos, {report.settings.refine} steps."
+        )
     if report.settings.pose_alignment_steps:
         lines.append(
             f"Target cameras were refined against the target photos by "
@@ -143,7 +147,10 @@ def results_rows(
         seed: That the model was trained with; None where its card does not say.
         machine: What it ran on.
     """
-    named = {report.model: report.figures, **report.baselines}
+    model = report.model
+    if report.settings.refine:
+        model += f", refined {report.settings.refine} steps"
+    named = {model: report.figures, **report.baselines}
     geometry = report.settings.geometry
     if geometry != "given" and report.true_targets:
         geometry += ", true targets"

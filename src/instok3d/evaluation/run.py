@@ -29,6 +29,8 @@ class EvaluationSettings:
     """In which the model answers; None where it learned no unit."""
     pose_alignment_steps: int = 0
     """Steps of test-time pose alignment against the target photo; 0 = none."""
+    refine: int = 0
+    """Steps of refinement on the context photos; 0 measures the single forward pass."""
     ap: ApSettings = field(default_factory=lambda: ApSettings(min_instance_area=20))
     """What counts as an instance."""
     alpha_min: float = 0.0
@@ -138,6 +140,7 @@ def _predict(
         target_cameras=targets,
         pose_alignment_steps=settings.pose_alignment_steps,
         alpha_min=settings.alpha_min,
+        refine=settings.refine,
     )
 
 
