@@ -10,10 +10,11 @@ if TYPE_CHECKING:
     from instok3d.scene.demo import demo
     from instok3d.scene.objects import SceneObject
     from instok3d.scene.reconstruct import load, reconstruct
+    from instok3d.scene.refine import refine
     from instok3d.scene.scene import Scene
 
 __version__ = "0.1.0"
-__all__ = ["Scene", "SceneObject", "__version__", "demo", "load", "reconstruct"]
+__all__ = ["Scene", "SceneObject", "__version__", "demo", "load", "reconstruct", "refine"]
 
 _HOMES = {
     "Scene": "instok3d.scene.scene",
@@ -21,6 +22,7 @@ _HOMES = {
     "demo": "instok3d.scene.demo",
     "load": "instok3d.scene.reconstruct",
     "reconstruct": "instok3d.scene.reconstruct",
+    "refine": "instok3d.scene.refine",
 }
 
 

@@ -17,6 +17,7 @@ from instok3d.version import generator
 COMMANDS = {
     "demo": "reconstruct the photos that come with the package",
     "reconstruct": "photos in, a scene of objects out",
+    "refine": "a scene made sharper on its photos",
     "info": "what is in a scene",
     "render": "pictures or a film of a scene",
     "export": "a scene as a PLY file for splat viewers",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 if TYPE_CHECKING:
+    from instok3d.scene.record import RefinementRecord
     from instok3d.scene.scene import Scene
 
 
@@ -39,7 +40,8 @@ def summary(scene: "Scene") -> dict[str, Any]:
         "near_far": list(scene.near_far),
         "height": scene.height,
         "width": scene.width,
-        "provenance": dict(vars(scene.provenance)),
+        "provenance": asdict(scene.provenance),
+        "tokens_give_gaussians": not scene.provenance.refinements,
         "warnings": list(scene.warnings),
     }
 
@@ -55,6 +57,7 @@ def describe(scene: "Scene") -> str:
         f"({owned} of them of objects)",
         f"world: {scene.frame}, {axes(scene)}; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
+        *(refinement_line(each) for each in made.refinements),
         *(f"note: {line}" for line in scene.warnings),
     ]
     if scene.objects:
@@ -66,6 +69,16 @@ def describe(scene: "Scene") -> str:
         numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {item.best_view.view:9}"
         lines.append(f"{name:12} {numbers}  {size}")
     return "\n".join(lines)
+
+
+def refinement_line(done: "RefinementRecord") -> str:
+    """One optimisation of the Gaussians in words."""
+    split = f", {done.split_share:.0%} of the Gaussians split" if done.split_share else ""
+    return (
+        f"refined, {done.steps} steps on the photos at {done.height} x {done.width}{split}: "
+        f"{done.psnr_before:.1f} -> {done.psnr_after:.1f} dB at the photos; the tokens no longer "
+        "give these Gaussians"
+    )
 
 
 def axes(scene: "Scene") -> str:

@@ -18,6 +18,8 @@ def run(
     cameras: Path | None = None,
     allow_outside: bool = False,
     model: Path | None = None,
+    refine: int | None = None,
+    keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
     device: str = "cpu",
@@ -35,6 +37,10 @@ def run(
             scene.json.
         allow_outside: Open photos and depth that the camera file names outside of its folder.
         model: A model file instead of the default model.
+        refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the
+            model's single pass gives them. None takes the default.
+        keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
+            second one ends the command.
         max_views: Of more photos, this many are chosen to cover all.
         seed: Same photos, model and seed give the same bytes, on one machine with as many threads.
         device: Where the model runs, such as cuda.
@@ -46,8 +52,9 @@ def run(
         raise ValueError("no photos were named: give a folder, files, a pattern or a video")
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
-        allow_outside=allow_outside, model=model, max_views=max_views, seed=seed, device=device,
-        overwrite=overwrite, json=json, timings=timings,
+        allow_outside=allow_outside, model=model, refine=refine, keep_interrupted=keep_interrupted,
+        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
+        timings=timings,
     )  # fmt: skip
 
 
@@ -58,6 +65,8 @@ def make_scene(
     cameras: Path | None = None,
     allow_outside: bool = False,
     model: Path | None = None,
+    refine: int | None = None,
+    keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
     device: str = "cpu",
@@ -67,22 +76,26 @@ def make_scene(
 ) -> None:
     """Reconstruct, save, and say on stdout what came out."""
     from instok3d.cli.progress import StageClock, plain_warnings
+    from instok3d.cli.signals import asked_to_stop
     from instok3d.progress import format_duration
 
     clock = StageClock()
     with clock.running():
         clock.begin("start")
         from instok3d.cli.info import describe, print_json, summary
+        from instok3d.refinement.settings import DEFAULT_STEPS
         from instok3d.scene.files import check_target
         from instok3d.scene.previews import save_with_previews
         from instok3d.scene.reconstruct import reconstruct
 
         check_target(output, overwrite=overwrite)
-        with plain_warnings():
+        with plain_warnings(), asked_to_stop(when=keep_interrupted) as stop:
             scene = reconstruct(
                 photos, cameras=cameras, allow_outside=allow_outside, model=model, seed=seed,
-                max_views=max_views, device=device, progress=clock.begin,
+                refine=DEFAULT_STEPS if refine is None else refine,
+                max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
+        with plain_warnings():
             save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
     took = clock.report() if timings else f"done in {format_duration(clock.total_s)}"
     print(took, file=sys.stderr)

@@ -3,7 +3,7 @@
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -54,3 +54,29 @@ def orderly_end() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def asked_to_stop(*, when: bool) -> Iterator[Callable[[], bool] | None]:
+    """Let the first Ctrl-C in the block be a request, which the given function tells of.
+
+    The second one, and other signals, end the process as without the block.
+
+    Args:
+        when: Off changes nothing and gives None.
+    """
+    if not when or threading.current_thread() is not threading.main_thread():
+        yield None
+        return
+    before = signal.getsignal(signal.SIGINT)
+    asked = threading.Event()
+
+    def note(_number: int, _frame: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield asked.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

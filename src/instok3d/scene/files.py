@@ -28,7 +28,14 @@ from instok3d.photos.pixel_map import PixelMap
 from instok3d.reading import naming_damage, number, one_of, read_json, text, whole_number
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
-from instok3d.scene.record import Provenance, SceneRecord, SceneTokens, SceneView, near_and_far
+from instok3d.scene.record import (
+    Provenance,
+    RefinementRecord,
+    SceneRecord,
+    SceneTokens,
+    SceneView,
+    near_and_far,
+)
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
 from instok3d.scene.vertical import Vertical, find_vertical
 from instok3d.types import Cameras, Gaussians, check_gaussians
@@ -169,8 +176,21 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
             model=text(made["model"]),
             model_sha256=text(made["model_sha256"]),
             seed=whole_number(made["seed"]),
+            refinements=tuple(_refinement(each) for each in made.get("refinements", ())),
         ),
     }
+
+
+def _refinement(value: dict[str, Any]) -> RefinementRecord:
+    return RefinementRecord(
+        steps=whole_number(value["steps"]),
+        height=whole_number(value["height"], 1),
+        width=whole_number(value["width"], 1),
+        split_share=number(value["split_share"]),
+        seed=whole_number(value["seed"]),
+        psnr_before=number(value["psnr_before"]),
+        psnr_after=number(value["psnr_after"]),
+    )
 
 
 def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
@@ -190,6 +210,7 @@ def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
         "num_anchors": scene.tokens.assignment.shape[0],
         "num_gaussians": len(scene.gaussians.means),
         "provenance": dataclasses.asdict(scene.provenance),
+        "tokens_give_gaussians": not scene.provenance.refinements,
         "inputs": {view.file: view.sha256 for view in scene.views},
         "warnings": list(scene.warnings),
         "sha256": digests,

@@ -34,7 +34,6 @@ class GroupSight:
     """x0, y0, x1, y1 around the pixels, exclusive at the end; zeros for none."""
 
 
-@torch.no_grad()
 def scene_from_tokens(
     tokens: TokenGroups,
     photos: UInt8[Tensor, "view height width 3"],
@@ -45,7 +44,27 @@ def scene_from_tokens(
     units: Literal["metres", "arbitrary"] = "arbitrary",
     notes: Sequence[str] = (),
 ) -> Scene:
-    """The scene of one sample, not differentiable; see `Scene` for what becomes an object.
+    """`bare_scene` with its objects."""
+    return with_objects(
+        bare_scene(
+            tokens, photos, views, provenance=provenance, cam_from_world=cam_from_world,
+            units=units, notes=notes,
+        )
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def bare_scene(
+    tokens: TokenGroups,
+    photos: UInt8[Tensor, "view height width 3"],
+    views: Sequence[SceneView],
+    *,
+    provenance: Provenance,
+    cam_from_world: Float[Tensor, "view 4 4"] | None = None,
+    units: Literal["metres", "arbitrary"] = "arbitrary",
+    notes: Sequence[str] = (),
+) -> Scene:
+    """The scene of one sample before its objects are looked for; not differentiable.
 
     Gaussians that are not finite are dropped with a warning, which the scene keeps.
 
@@ -88,7 +107,7 @@ def scene_from_tokens(
                 "the model gave tokens or cameras that are not finite; try another model file"
             )
     frame = "first camera" if cam_from_world is None else "given cameras"
-    bare = Scene(
+    return Scene(
         gaussians=gaussians, tokens=compact, cameras=cameras,
         height=photos.shape[1], width=photos.shape[2], objects=(), views=tuple(views),
         photos=photos, units=units, frame=frame,
@@ -96,11 +115,14 @@ def scene_from_tokens(
         near_far=near_and_far(gaussians, cameras),
         warnings=(*notes, *dropped), provenance=provenance,
     )  # fmt: skip
-    return with_objects(bare)
 
 
+@torch.no_grad()
 def with_objects(scene: Scene) -> Scene:
-    """The scene with its objects found anew from the assignment, and its Gaussians sorted."""
+    """The scene with its objects found anew from the assignment, and its Gaussians sorted.
+
+    See `Scene` for what becomes an object. Not differentiable.
+    """
     sight = _sight(scene)
     num_groups = scene.tokens.groups.shape[0]
     owner = scene.tokens.assignment.argmax(dim=1)

@@ -14,8 +14,10 @@ from instok3d.model.files import DEFAULT_MODEL, load_model, read_card, read_size
 from instok3d.model.memory import check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.photos.loading import PhotoSet, read_photos
-from instok3d.scene.from_tokens import scene_from_tokens
+from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
+from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.record import Provenance, SceneView
+from instok3d.scene.refine import refined
 from instok3d.scene.scene import Scene
 from instok3d.version import generator
 
@@ -38,11 +40,16 @@ def reconstruct(
     allow_outside: bool = False,
     model: str | Path | Tokenizer | None = None,
     seed: int = 0,
+    refine: int = DEFAULT_STEPS,
     max_views: int = 16,
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Scene:
     """A scene of objects from photos of one room. Not differentiable.
+
+    The model's Gaussians are refined on the photos (`instok3d.refine`), which is not in the
+    paper; `refine=0` leaves them as the single forward pass gives them.
 
     Same files, model and seed on the same machine, with as many threads, give the same scene.
 
@@ -55,9 +62,13 @@ def reconstruct(
         allow_outside: Let the camera file name photos and depth outside of its folder.
         model: A model file, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
+        refine: Steps of refinement at the size that the model sees; 0 for none. `instok3d.refine`
+            refines a scene further, at more pixels too.
         max_views: Of more photos, this many are chosen to cover all.
         device: Where the model runs; the scene comes back on the CPU.
-        progress: Called with the name of each stage as it begins.
+        progress: Called with the name of each stage as it begins, and behind a colon with how far
+            it is.
+        stop: Asked before every step of refinement; True ends it there.
 
     Raises:
         FileNotFoundError: Something named is not there; MissingWeightsError for the model.
@@ -67,6 +78,7 @@ def reconstruct(
         NotEnoughMemoryError: So many views are predicted not to fit; says how many would.
     """
     begin = progress or (lambda stage: None)
+    refinement = RefinementSettings(steps=refine, seed=seed)
     device = _checked_device(device)
     if not 0 <= seed < 2**63:
         raise ValueError(f"seed must lie in 0..2^63 - 1, got {seed}")
@@ -92,13 +104,12 @@ def reconstruct(
         geometry = tokenizer.backbone(views)
         begin("tokens")
         tokens = tokenizer(views, geometry).to("cpu")
-    begin("objects")
     notes = [TRAINED_ON_ROOMS] if model is None else []
     for note in notes:
         warnings.warn(note, stacklevel=2)
     file = path or DEFAULT_MODEL
     given = photo_set.views.cam_from_world
-    return scene_from_tokens(
+    scene = bare_scene(
         tokens,
         _bytes(photo_set.views.images[0]),
         _scene_views(photo_set),
@@ -112,6 +123,14 @@ def reconstruct(
         units=photo_set.units,
         notes=[*notes, *photo_set.warnings],
     )
+    if refine:
+        begin("refinement")
+        images = scene.photos.permute(0, 3, 1, 2).float() / 255
+        scene = refined(
+            scene, refinement, images=images, cameras=scene.cameras, progress=progress, stop=stop
+        )
+    begin("objects")
+    return with_objects(scene)
 
 
 def _checked_device(name: str | torch.device) -> torch.device:

@@ -43,6 +43,25 @@ class SceneTokens(Flow):
 
 
 @dataclass(frozen=True)
+class RefinementRecord:
+    """One optimisation of the Gaussians on the photos (`instok3d.refine`)."""
+
+    steps: int
+    """That were done."""
+    height: int
+    """Of the photos that the Gaussians were compared with, pixels."""
+    width: int
+    split_share: float
+    """Share of the Gaussians that were split in two; 0 kept their number."""
+    seed: int
+    """Of the order of the views."""
+    psnr_before: float
+    """Of the renders at the photos' own cameras, dB."""
+    psnr_after: float
+    """Likewise, with the exposure fitted to each photo."""
+
+
+@dataclass(frozen=True)
 class Provenance:
     """What a scene was made with."""
 
@@ -52,6 +71,8 @@ class Provenance:
     """Name of the model."""
     model_sha256: str
     seed: int
+    refinements: tuple[RefinementRecord, ...] = ()
+    """In the order they were done; after one the tokens no longer give the Gaussians."""
 
 
 @dataclass(frozen=True, repr=False)
