@@ -54,6 +54,9 @@ CONFIG = replace(
 )
 ROOMS = FakeRooms(4, size=32)
 FEW = FakeRooms(2, size=32)
+ONE_SAMPLE = replace(CONFIG.batches, views=(2,), samples_per_scene=1)
+QUICK = replace(CONFIG, stage=replace(STAGE, given_probability=1.0), batches=ONE_SAMPLE)
+"""One sample a scene, where it does not matter what the features are."""
 
 
 def backbone_weights(seed: int = 0) -> dict[str, torch.Tensor]:
@@ -67,6 +70,13 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     filled = fill_cache(CONFIG, ROOMS, folder, backbone_weights())
     # 3 training scenes x 2 numbers of views x 2 samples, and 1 held-out scene x 1 protocol.
     assert (filled.scenes, filled.made, filled.samples) == (4, 4, 13)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def quick_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("quick")
+    assert fill_cache(QUICK, ROOMS, folder, backbone_weights()).samples == 4
     return folder
 
 
@@ -217,7 +227,7 @@ def test_only_the_backbone_of_the_cache_is_taken_as_first_weights(cache: Path):
 
 
 def test_a_run_does_not_go_on_with_features_of_another_backbone(cache: Path, tmp_path: Path):
-    fill_cache(CONFIG, FEW, tmp_path, backbone_weights(seed=1))
+    fill_cache(QUICK, FEW, tmp_path, backbone_weights(seed=1))
     state = stages(cache)[1].build_model().state_dict()
     with pytest.raises(ValueError, match="begun with the features of another backbone"):
         stages(tmp_path)[1].build_model().load_state_dict(state)
@@ -276,17 +286,17 @@ def test_only_settings_with_a_frozen_backbone_and_fixed_samples_are_cached(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_a_cache_grows_and_replaces_a_damaged_file(cache: Path, tmp_path: Path):
-    fill_cache(CONFIG, FEW, tmp_path, backbone_weights())
+def test_a_cache_grows_and_replaces_a_damaged_file(quick_cache: Path, tmp_path: Path):
+    fill_cache(QUICK, FEW, tmp_path, backbone_weights())
     torn = scene_path(tmp_path, "1")
     torn.write_bytes(torn.read_bytes()[:1000])
     with pytest.warns(UserWarning, match="is damaged"):
-        filled = fill_cache(CONFIG, ROOMS, tmp_path, backbone_weights())
+        filled = fill_cache(QUICK, ROOMS, tmp_path, backbone_weights())
     assert (filled.scenes, filled.made) == (4, 3)
-    check_cache(FeatureCache(tmp_path), CONFIG, ROOMS)
-    assert torn.read_bytes() == scene_path(cache, "1").read_bytes()
+    check_cache(FeatureCache(tmp_path), QUICK, ROOMS)
+    assert torn.read_bytes() == scene_path(quick_cache, "1").read_bytes()
     with pytest.raises(ValueError, match=r"begun with other settings .*seed: made with 0"):
-        fill_cache(replace(CONFIG, seed=3), ROOMS, tmp_path, backbone_weights())
+        fill_cache(replace(QUICK, seed=3), ROOMS, tmp_path, backbone_weights())
 
 
 def test_two_runs_do_not_fill_one_cache(tmp_path: Path):
@@ -298,7 +308,7 @@ def test_two_runs_do_not_fill_one_cache(tmp_path: Path):
 
 
 class OneShortRoom(FakeRooms):
-    """Room 2 has too few frames for four views."""
+    """Room 2 has too few frames for three views."""
 
     def num_frames(self, number: int) -> int:
         return 3 if number == 2 else super().num_frames(number)
@@ -306,18 +316,19 @@ class OneShortRoom(FakeRooms):
 
 def test_a_scene_too_short_for_training_has_no_samples(tmp_path: Path):
     rooms = OneShortRoom(3, size=32)
+    config = replace(QUICK, batches=replace(ONE_SAMPLE, views=(3,)))
     with pytest.warns(UserWarning, match="1 of 2 scenes are left out"):
-        filled = fill_cache(CONFIG, rooms, tmp_path, backbone_weights())
-    assert (filled.scenes, filled.samples) == (3, 5)
-    check_cache(FeatureCache(tmp_path), CONFIG, rooms)
+        filled = fill_cache(config, rooms, tmp_path, backbone_weights())
+    assert (filled.scenes, filled.samples) == (3, 2)
+    check_cache(FeatureCache(tmp_path), config, rooms)
 
 
-def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path: Path):
+def test_killed_while_writing_it_goes_on_to_the_same_bytes(quick_cache: Path, tmp_path: Path):
     program = """
         import os, signal
         from pathlib import Path
         import torch
-        from test_features import CONFIG, ROOMS, backbone_weights, fill_cache
+        from test_features import QUICK, ROOMS, backbone_weights, fill_cache
         from instok3d import files
 
         def kill_in_the_second_scene(handle):
@@ -326,7 +337,7 @@ def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path
 
         files.os.fsync = kill_in_the_second_scene
         torch.set_num_threads({threads})  # no BLAS promises the same bits on another number
-        fill_cache(CONFIG, ROOMS, Path({folder!r}), backbone_weights())
+        fill_cache(QUICK, ROOMS, Path({folder!r}), backbone_weights())
     """
     program = program.format(folder=str(tmp_path), threads=torch.get_num_threads())
     ended = subprocess.run(
@@ -337,12 +348,14 @@ def test_killed_while_writing_it_goes_on_to_the_same_bytes(cache: Path, tmp_path
     assert ended.returncode == -signal.SIGKILL
     left = {path.name.startswith(".") for path in (tmp_path / "scenes").iterdir()}
     assert left == {True, False}
-    filled = fill_cache(CONFIG, ROOMS, tmp_path, backbone_weights())
+    filled = fill_cache(QUICK, ROOMS, tmp_path, backbone_weights())
     assert filled.made == 3
     names = sorted(path.name for path in (tmp_path / "scenes").iterdir())
-    assert names == sorted(path.name for path in (cache / "scenes").iterdir())
+    assert names == sorted(path.name for path in (quick_cache / "scenes").iterdir())
     for name in names:
-        assert (tmp_path / "scenes" / name).read_bytes() == (cache / "scenes" / name).read_bytes()
+        assert (tmp_path / "scenes" / name).read_bytes() == (
+            quick_cache / "scenes" / name
+        ).read_bytes()
 
 
 @pytest.mark.usefixtures("plane")
@@ -400,9 +413,9 @@ def test_a_backbone_with_pointmaps_of_its_own_keeps_them(
 
     monkeypatch.setattr(NanoBackbone, "forward", with_point_head)
     stage = replace(STAGE, given_probability=0.0, intrinsics_probability=0.0)
-    config = replace(CONFIG, stage=stage)
+    config = replace(QUICK, stage=stage)
     fill_cache(config, FEW, tmp_path, backbone_weights())
-    sample = SceneBatches(FEW, [1], CONFIG.batches, seed=CONFIG.seed).fixed_sample(1, 2, 0)
+    sample = SceneBatches(FEW, [1], ONE_SAMPLE, seed=QUICK.seed).fixed_sample(1, 2, 0)
     backbone = NanoBackbone(BACKBONE)
     backbone.load_state_dict(backbone_weights())
     with torch.no_grad():
@@ -411,7 +424,7 @@ def test_a_backbone_with_pointmaps_of_its_own_keeps_them(
     found = FeatureCache(tmp_path).geometry(sample, given=False, intrinsics=False)
     torch.testing.assert_close(found.pointmaps, expected.pointmaps, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="pointmaps of NanoBackbone depend on given cameras"):
-        fill_cache(CONFIG, FEW, tmp_path / "given", backbone_weights())
+        fill_cache(QUICK, FEW, tmp_path / "given", backbone_weights())
 
 
 def test_values_too_large_for_float16_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -423,8 +436,8 @@ def test_values_too_large_for_float16_are_refused(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(NanoBackbone, "forward", with_large_features)
     with pytest.raises(ValueError, match="features may be cached as bfloat16"):
-        fill_cache(CONFIG, FEW, tmp_path, backbone_weights())
-    filled = fill_cache(CONFIG, FEW, tmp_path / "wide", backbone_weights(), dtype="bfloat16")
+        fill_cache(QUICK, FEW, tmp_path, backbone_weights())
+    filled = fill_cache(QUICK, FEW, tmp_path / "wide", backbone_weights(), dtype="bfloat16")
     assert filled.made == 2
 
 
