@@ -11,9 +11,9 @@ set -euo pipefail
 folder=${1:?"give a new folder for data, runs and the model"}
 size=${2:-}
 here=$(dirname "$0")
-rooms=0:32 resolution=128 test_scans=6 holdout=4 adapt_steps=40 steps=60 save_steps=20
+rooms=0:32 resolution=128 training_scans=26 test_scans=6 holdout=4 adapt_steps=40 steps=60 save_steps=20
 if [ "$size" = --small ]; then
-    rooms=0:16 resolution=64 test_scans=1 holdout=1 adapt_steps=2 steps=4 save_steps=2
+    rooms=0:16 resolution=64 training_scans=3 test_scans=1 holdout=1 adapt_steps=2 steps=4 save_steps=2
 elif [ -n "$size" ]; then
     echo "unknown option $size" >&2
     exit 2
@@ -24,7 +24,8 @@ fixed=(--batches.samples-per-scene 2)
 
 mkdir "$folder"
 instok3d data rooms -o "$folder/rooms" --seeds "$rooms" --resolution "$resolution" --workers 2
-python "$here/rooms_as_scannet.py" "$folder/rooms" -o "$folder/scannet" --test "$test_scans"
+python "$here/rooms_as_scannet.py" "$folder/rooms" -o "$folder/scannet" \
+    --training "$training_scans" --test "$test_scans"
 
 instok3d data prepare scannet "$folder/scannet" -o "$folder/prepared" \
     --size "$resolution" --stride 1 --min-frames 1 --workers 2

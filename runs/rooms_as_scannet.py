@@ -2,7 +2,7 @@
 
     python runs/rooms_as_scannet.py ROOMS -o FOLDER --test 2
 
-The last rooms take names of ScanNet's last 50 scans, from which its test scenes are chosen; the
+The last of them take names of ScanNet's last 50 scans, from which its test scenes are chosen; the
 others become training scans (scene0000_00, scene0001_00, ...). The 16 frames of a room stand about
 as far apart as every tenth frame of ScanNet, so the scans have these alone: prepare them with
 `--stride 1 --min-frames 1`.
@@ -61,17 +61,19 @@ def write_table(folder: Path) -> None:
 
 
 def main() -> None:
-    """Write every room of a folder."""
+    """Write the first rooms of a folder, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("rooms", type=Path, help="from instok3d data rooms")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--test", type=int, default=2, help="how many become test scans")
+    parser.add_argument("--training", type=int, help="how many become training scans; the others")
     arguments = parser.parse_args()
     rooms = RoomDataset(arguments.rooms)
-    training = len(rooms) - arguments.test
-    if training < 1:
+    others = len(rooms) - arguments.test
+    training = others if arguments.training is None else arguments.training
+    if not 1 <= training <= others:
         raise SystemExit(f"{arguments.rooms} has {len(rooms)} rooms, too few for training and test")
-    for number in range(len(rooms)):
+    for number in range(training + arguments.test):
         name = f"scene{number:04d}_00" if number < training else TEST_POOL[number - training]
         write_scan(arguments.output, name, rooms.scene(number))
     write_table(arguments.output)
