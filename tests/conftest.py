@@ -1,7 +1,11 @@
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from shipped_demo import ShippedDemo
 
 # Before torch: beside another busy process, threads that spin while they wait for each other make
 # many small parallel regions take up to forty times as long.
@@ -38,6 +42,16 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"real test data is not here: no folder {SHARED.name}/ beside the project")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def shipped_demo(tmp_path_factory: pytest.TempPathFactory) -> "ShippedDemo":
+    """What `instok3d demo` made; skips where a tree lacks the model or the photos."""
+    from shipped_demo import is_shipped, make_demo
+
+    if not is_shipped():
+        pytest.skip("the default model and the demo's photos are not in this tree")
+    return make_demo(tmp_path_factory.mktemp("demo"))
 
 
 @pytest.fixture

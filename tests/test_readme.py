@@ -3,19 +3,17 @@
 import re
 import shlex
 import tomllib
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from command_lines import parses
 from instok3d.cli import COMMANDS, main
-from instok3d.model.files import DEFAULT_MODEL
 from made_model import made_model, made_photos
+from shipped_demo import ShippedDemo
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-DEMO_PHOTOS = Path(str(files("instok3d") / "assets" / "demo"))
 
 
 def blocks(text: str, language: str) -> list[str]:
@@ -94,18 +92,17 @@ def test_the_python_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (tmp_path / "room.itk" / "scene.json").is_file()
 
 
-@pytest.mark.slow
-def test_the_first_result_comes_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    if not (DEFAULT_MODEL.is_file() and DEMO_PHOTOS.is_dir()):
-        pytest.skip("the default model and the demo's photos are not in this tree")
-    scene = tmp_path / "demo.itk"
-    assert main(["demo", "-o", str(scene)]) == 0
+def test_the_first_result_comes_out(
+    shipped_demo: ShippedDemo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    scene = shipped_demo.scene
     named = re.findall(r"`demo\.itk/(\S+)`", section("First result"))
     assert named
     assert all((scene / path).is_file() for path in named)
     drawn = re.findall(r"`instok3d (render demo\.itk [^`]+)`", section("Your photos"))
     assert len(drawn) == 1
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo.itk").symlink_to(scene)
     assert main(shlex.split(drawn[0])) == 0
     assert (tmp_path / "object.png").is_file()
 

@@ -1,40 +1,26 @@
-import json
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 import instok3d
 from instok3d.cli import main
-from instok3d.model.files import DEFAULT_MODEL
-
-PHOTOS = Path(str(files("instok3d") / "assets" / "demo"))
+from shipped_demo import PHOTOS, ShippedDemo, is_shipped
 
 
-@pytest.fixture
-def shipped() -> None:
-    if not (DEFAULT_MODEL.is_file() and PHOTOS.is_dir()):
-        pytest.skip("the default model and the demo's photos are not in this tree")
-
-
-@pytest.mark.usefixtures("shipped")
-def test_demo_finds_objects_in_the_shipped_photos(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    assert main(["demo", "-o", str(tmp_path / "demo.itk"), "--json"]) == 0
-    shown = capsys.readouterr()
-    made = json.loads(shown.out)
+def test_demo_finds_objects_in_the_shipped_photos(shipped_demo: ShippedDemo):
+    made = shipped_demo.made
     assert {"geometry", "tokens", "previews"} <= made["timings_s"].keys()
     assert len(made["objects"]) >= 3
-    assert shown.err.count("its results on real photos are poor") == 1
-    scene = instok3d.load(tmp_path / "demo.itk")
+    assert shipped_demo.notes.count("its results on real photos are poor") == 1
+    scene = instok3d.load(shipped_demo.scene)
     assert any("results on real photos are poor" in line for line in scene.warnings)
     difference = scene.render().colors - scene.photos.permute(0, 3, 1, 2) / 255
     assert float(-10 * difference.square().mean().log10()) > 15
 
 
-@pytest.mark.usefixtures("shipped")
 def test_the_shipped_photos_are_small():
+    if not is_shipped():
+        pytest.skip("the default model and the demo's photos are not in this tree")
     assert sum(file.stat().st_size for file in PHOTOS.iterdir()) < 1_000_000
 
 

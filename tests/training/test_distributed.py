@@ -1,6 +1,8 @@
 """Two processes on gloo against one: the same weights, and never one that waits for the other."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,6 +50,19 @@ def run(config: TrainConfig, folder: Path) -> None:
     processes.train_run(config, folder)
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[[TrainConfig], Path]:
+    """The folder of a run of one process with batches of four, trained once."""
+
+    @cache
+    def trained(config: TrainConfig) -> Path:
+        folder = tmp_path_factory.mktemp("alone") / "run"
+        run(with_batch(config, 4), folder)
+        return folder
+
+    return trained
+
+
 def run_two(config: TrainConfig, folder: Path) -> None:
     run_processes(2, processes.train_run, config, folder)
 
@@ -73,25 +88,24 @@ def assert_nearly_the_same_run(a: Path, b: Path, steps: int) -> None:
 @pytest.mark.parametrize(
     "config", [TOY, pytest.param(TOKENIZER, marks=pytest.mark.slow)], ids=["toy", "tokenizer"]
 )
-def test_two_processes_with_half_the_batch_each_make_the_same_weights(config, strategy, tmp_path):
-    run(with_batch(config, 4), tmp_path / "one")
+def test_two_processes_with_half_the_batch_each_make_the_same_weights(
+    config, strategy, alone, tmp_path
+):
     run_two(replace(with_batch(config, 2), strategy=strategy), tmp_path / "two")
-    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", config.steps)
+    assert_nearly_the_same_run(alone(config), tmp_path / "two", config.steps)
 
 
 @pytest.mark.parametrize("config", [TOY, TOKENIZER], ids=["toy", "tokenizer"])
-def test_half_the_batch_twice_makes_the_same_weights(config, tmp_path):
-    run(with_batch(config, 4), tmp_path / "whole")
+def test_half_the_batch_twice_makes_the_same_weights(config, alone, tmp_path):
     run(replace(with_batch(config, 2), accumulate=2), tmp_path / "halves")
-    assert_nearly_the_same_run(tmp_path / "whole", tmp_path / "halves", config.steps)
+    assert_nearly_the_same_run(alone(config), tmp_path / "halves", config.steps)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["ddp", "fsdp"])
-def test_processes_that_accumulate_make_the_same_weights(strategy, tmp_path):
-    run(with_batch(TOY, 4), tmp_path / "one")
+def test_processes_that_accumulate_make_the_same_weights(strategy, alone, tmp_path):
     run_two(replace(with_batch(TOY, 1), accumulate=2, strategy=strategy), tmp_path / "two")
-    assert_nearly_the_same_run(tmp_path / "one", tmp_path / "two", TOY.steps)
+    assert_nearly_the_same_run(alone(TOY), tmp_path / "two", TOY.steps)
 
 
 @pytest.mark.slow
