@@ -17,6 +17,7 @@ from instok3d.geometry.camera_alignment import (
     cameras_in_prediction,
 )
 from instok3d.geometry.similarity import depth_scale
+from instok3d.refinement.assignment import reassigned
 from instok3d.refinement.optimization import refine_gaussians
 from instok3d.refinement.settings import RefinementSettings
 from instok3d.render import render
@@ -96,6 +97,10 @@ def predict(
             gaussians, predicted, sample.context.images[0], RefinementSettings(steps=refine),
             near=NEAR, far=FAR,
         ).gaussians  # fmt: skip
+        gaussians = reassigned(
+            gaussians, pi, groups.anchors.positions[0], predicted, height, width,
+            near=NEAR, far=FAR,
+        )  # fmt: skip
 
     def place(scale: float) -> Cameras:
         return cameras_in_prediction(

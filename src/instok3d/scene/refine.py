@@ -13,6 +13,7 @@ from instok3d.files import sha256_of
 from instok3d.photos.image_decoding import decode_photo
 from instok3d.photos.image_files import find_images
 from instok3d.photos.pixel_map import PixelMap
+from instok3d.refinement.assignment import reassigned
 from instok3d.refinement.optimization import Progress, refine_gaussians
 from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
 from instok3d.scene.from_tokens import with_objects
@@ -36,8 +37,9 @@ def refine(
 ) -> Scene:
     """The scene with its Gaussians optimised on its photos, and its objects described anew.
 
-    Anchors, groups, cameras and, without `densify`, the number of Gaussians stay as they are; the
-    provenance says what was done. Not differentiable. See
+    Anchors, groups, cameras and, without `densify`, the number of Gaussians stay as they are;
+    Gaussians at the border of an object that show another one go to that one. The provenance says
+    what was done. Not differentiable. See
     `instok3d.refinement.optimization.refine_gaussians` for the steps.
 
     Args:
@@ -97,6 +99,8 @@ def refined(
 ) -> Scene:
     """The scene with refined Gaussians, its objects still described as before.
 
+    Gaussians that show the pixels of another group go to it (`refinement.assignment`).
+
     Args:
         scene: What to refine.
         settings: How.
@@ -131,7 +135,11 @@ def refined(
     )  # fmt: skip
     provenance = scene.provenance
     provenance = replace(provenance, refinements=(*provenance.refinements, record))
-    return replace(scene, gaussians=result.gaussians, provenance=provenance)
+    gaussians = reassigned(
+        result.gaussians, scene.tokens.assignment, scene.tokens.positions, scene.cameras,
+        scene.height, scene.width, near=near, far=far,
+    )  # fmt: skip
+    return replace(scene, gaussians=gaussians, provenance=provenance)
 
 
 def _photos_of(scene: Scene, candidates: Sequence[Path]) -> list[Path]:

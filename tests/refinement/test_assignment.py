@@ -1,0 +1,66 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from instok3d.refinement.assignment import reassigned, weights_by_group
+from instok3d.render import render
+from instok3d.types import Cameras, Gaussians
+
+SIDE = 24
+VIEW: dict = {"height": SIDE, "width": SIDE, "near": 0.05, "far": 100.0}
+ASSIGNMENT = torch.tensor([[0.9, 0.05, 0.05], [0.05, 0.9, 0.05], [0.05, 0.05, 0.9]])
+ANCHORS = torch.tensor([[-0.5, 0, 2], [0.5, 0, 2], [0.0, 0.0, 4.0]])
+
+
+@pytest.fixture
+def camera() -> Cameras:
+    intrinsics = torch.tensor([[20.0, 0, SIDE / 2], [0, 20, SIDE / 2], [0, 0, 1]])
+    return Cameras(torch.eye(4)[None], intrinsics[None])
+
+
+def blobs(places: list[list[float]], anchors: list[int], sizes: list[float]) -> Gaussians:
+    count = len(places)
+    return Gaussians(
+        torch.tensor(places), torch.tensor([[1.0, 0, 0, 0]] * count),
+        torch.tensor(sizes)[:, None].expand(count, 3).contiguous(),
+        torch.full((count,), 0.9), torch.zeros(count, 1, 3), torch.tensor(anchors),
+    )  # fmt: skip
+
+
+def test_weights_are_what_the_pixels_composite(camera: Cameras):
+    gaussians = blobs([[-0.5, 0, 2], [0.5, 0, 2]], [0, 1], [0.2, 0.2])
+    weights = weights_by_group(gaussians, ASSIGNMENT, camera, **VIEW)
+    alphas = render(gaussians, camera, SIDE, SIDE, near=0.05, far=100.0).alphas
+    torch.testing.assert_close(weights.sum(), alphas.sum())
+    assert weights[0, 0] > 0.95 * weights[0].sum()
+    assert weights[1, 1] > 0.95 * weights[1].sum()
+
+
+def test_a_stray_in_front_of_another_object_joins_it(camera: Cameras):
+    # A large blob of group 1; a small pale one of group 0 in the midst of it.
+    gaussians = blobs([[0.5, 0, 2], [0.5, 0, 1.9], [-0.5, 0, 2]], [1, 0, 0], [0.3, 0.03, 0.3])
+    gaussians = replace(gaussians, opacities=torch.tensor([0.95, 0.3, 0.95]))
+    result = reassigned(gaussians, ASSIGNMENT, ANCHORS, camera, **VIEW)
+    assert result.anchor_index.tolist() == [1, 1, 0]
+    assert gaussians.anchor_index.tolist() == [1, 0, 0]
+    for name, value in vars(replace(result, anchor_index=gaussians.anchor_index)).items():
+        assert value is getattr(gaussians, name), name
+
+
+def test_it_joins_the_nearest_anchor_of_the_group(camera: Cameras):
+    gaussians = blobs([[0.5, 0, 2], [0.5, 0, 1.9]], [1, 0], [0.3, 0.03])
+    gaussians = replace(gaussians, opacities=torch.tensor([0.95, 0.3]))
+    assignment = torch.cat([ASSIGNMENT, ASSIGNMENT[1:2]])
+    anchors = torch.cat([ANCHORS, torch.tensor([[0.5, 0.0, 1.9]])])
+    result = reassigned(gaussians, assignment, anchors, camera, **VIEW)
+    assert result.anchor_index.tolist() == [1, 3]
+
+
+def test_the_void_takes_none_and_what_shows_nothing_stays(camera: Cameras):
+    in_void = blobs([[0.0, 0, 4], [0.0, 0, 3.9], [0.0, 0, -2.0]], [2, 0, 1], [0.9, 0.05, 0.3])
+    in_void = replace(in_void, opacities=torch.tensor([0.95, 0.3, 0.9]))
+    result = reassigned(in_void, ASSIGNMENT, ANCHORS, camera, **VIEW)
+    assert torch.equal(result.anchor_index, in_void.anchor_index)
+    none = in_void.rows(slice(0, 0))
+    assert len(reassigned(none, ASSIGNMENT, ANCHORS, camera, **VIEW).means) == 0
