@@ -15,6 +15,7 @@ from instok3d.model.memory import check_memory
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
+from instok3d.scene.checked_geometry import checked_geometry
 from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
@@ -50,6 +51,9 @@ def reconstruct(
 
     The model's Gaussians are refined on the photos (`instok3d.refine`), which is not in the
     paper; `refine=0` leaves them as the single forward pass gives them.
+
+    With the nano backbone (that of the default model) photos that match none of the others are left
+    out. The scene's warnings name them, and say if given cameras contradict the photos.
 
     Same files, model and seed on the same machine, with as many threads, give the same scene.
 
@@ -97,15 +101,15 @@ def reconstruct(
         check_memory(*read_sizes(path), work, device=device, advice="give max_views (--max-views)")
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
     tokenizer = tokenizer.to(device).eval()
-    views = photo_set.views.to(device)
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         begin("geometry")
-        geometry = tokenizer.backbone(views)
+        checked = checked_geometry(tokenizer.backbone, photo_set, device)
         begin("tokens")
-        tokens = tokenizer(views, geometry).to("cpu")
+        photo_set = checked.photos
+        tokens = tokenizer(photo_set.views.to(device), checked.geometry).to("cpu")
     notes = [TRAINED_ON_ROOMS] if model is None else []
-    for note in notes:
+    for note in [*notes, *checked.notes]:
         warnings.warn(note, stacklevel=2)
     file = path or DEFAULT_MODEL
     given = photo_set.views.cam_from_world
@@ -121,7 +125,7 @@ def reconstruct(
         ),
         cam_from_world=None if given is None else given[0],
         units=photo_set.units,
-        notes=[*notes, *photo_set.warnings],
+        notes=[*notes, *photo_set.warnings, *checked.notes],
     )
     if refine:
         begin("refinement")

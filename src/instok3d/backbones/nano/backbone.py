@@ -85,6 +85,14 @@ class RefinedDepth:
     """With the focal length that was solved for, where it was a guess."""
 
 
+@dataclass(frozen=True)
+class ComparedPhotos:
+    """Output of the network and pairwise matches: all that is known before cameras are solved."""
+
+    raw: RawGeometry
+    pairs: list[PairMatches]
+
+
 class NanoBackbone(GeometryBackbone):
     """Features, depth and cameras of 1 to 16 views of any size that is a multiple of 8 pixels."""
 
@@ -176,13 +184,23 @@ class NanoBackbone(GeometryBackbone):
         """Logit of "not seen": that of a cell of one learned cosine, times the cells it beats."""
         return self.log_sharpness.exp() * self.no_match_cosine + 4.0
 
-    def forward(self, views: Views) -> Geometry:
+    def compare(self, views: Views) -> ComparedPhotos:
+        """Encodes the photos and matches them in pairs, without solving for cameras."""
+        raw = self.encode(views)
+        with torch.autocast(views.images.device.type, enabled=False):
+            return ComparedPhotos(raw, self.find_matches(raw))
+
+    def forward(self, views: Views, compared: ComparedPhotos | None = None) -> Geometry:
         """Geometry of the views; depth and cameras that are given are kept, the rest is solved.
 
         Predicted depth is in units of about the scene's mean depth. Where cameras or depth are
         given, the units are theirs. The solved cameras are not differentiable.
+
+        Args:
+            views: 1 to 16 photos of each scene.
+            compared: Result of `compare` for these views, if it has been computed already.
         """
-        raw = self.encode(views)
+        raw = self.encode(views) if compared is None else compared.raw
         known = torch.zeros_like(raw.log_depths, dtype=torch.bool)
         if views.depths is not None:
             known = views.depths > 0
@@ -190,7 +208,10 @@ class NanoBackbone(GeometryBackbone):
         with torch.autocast(views.images.device.type, enabled=False):
             intrinsics = self.intrinsics(views, raw)
             solved_for = not (known.all() and keep_cameras)
-            matches = self.find_matches(raw) if solved_for else []
+            if compared is not None:
+                matches = compared.pairs
+            else:
+                matches = self.find_matches(raw) if solved_for else []
         refined = None
         log_depths, log_confidences = raw.log_depths.float(), raw.log_confidences.float()
         if not known.all():

@@ -1,0 +1,97 @@
+"""Geometry of photos after two checks: do the photos overlap, and do given cameras fit them?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from instok3d.backbones.base import GeometryBackbone
+from instok3d.backbones.nano.backbone import ComparedPhotos, NanoBackbone
+from instok3d.backbones.nano.common_points import contrast_share, find_common_points
+from instok3d.photos.loading import PhotoSet
+from instok3d.scene.camera_check import camera_notes
+from instok3d.scene.odd_views import choose_matching_views
+from instok3d.types import Geometry
+
+
+@dataclass(frozen=True)
+class CheckedPhotos:
+    """The photos that were kept, their matches, and what the checks found."""
+
+    photos: PhotoSet
+    compared: ComparedPhotos
+    """On the device of the backbone."""
+    notes: list[str]
+    """Warnings about photos or cameras, one sentence each."""
+
+
+@dataclass(frozen=True)
+class CheckedGeometry:
+    """The photos that were kept, their geometry, and what the checks found."""
+
+    photos: PhotoSet
+    geometry: Geometry
+    """On the device of the backbone."""
+    notes: list[str]
+    """Warnings about photos or cameras, one sentence each."""
+
+
+def checked_geometry(
+    backbone: GeometryBackbone, photos: PhotoSet, device: str | torch.device
+) -> CheckedGeometry:
+    """Geometry of the photos that overlap with others; the rest is left out with a note.
+
+    The checks need the pairwise matches of the nano backbone. With any other backbone all photos
+    and cameras are taken as they are. If nothing is left out, the geometry equals
+    `backbone(photos.views)` bit for bit.
+
+    Args:
+        backbone: Predicts the geometry.
+        photos: At least one.
+        device: Where the backbone is.
+    """
+    if not isinstance(backbone, NanoBackbone):
+        return CheckedGeometry(photos, backbone(photos.views.to(device)), [])
+    checked = check_photos(backbone, photos, device)
+    geometry = backbone(checked.photos.views.to(device), checked.compared)
+    return CheckedGeometry(checked.photos, geometry, checked.notes)
+
+
+def check_photos(
+    backbone: NanoBackbone, photos: PhotoSet, device: str | torch.device
+) -> CheckedPhotos:
+    """The photos that overlap with others, matched, and notes on the rest and on given cameras.
+
+    Args:
+        backbone: Matches the photos.
+        photos: At least one.
+        device: Where the backbone is.
+    """
+    # 1. Match the photos in pairs, and keep those that overlap.
+    views = photos.views.to(device)
+    compared = backbone.compare(views)
+    points = find_common_points(compared.pairs, views.images[0])
+    posed = views.cam_from_world is not None
+    contrast = contrast_share(views.images[0])
+    choice = choose_matching_views(points, contrast, photos.names, posed=posed)
+    # 2. Features and depth of a view depend on all views: encode again without the others.
+    if len(choice.kept) < len(photos.names):
+        photos = _select(photos, choice.kept)
+        views = photos.views.to(device)
+        compared = backbone.compare(views)
+        points = find_common_points(compared.pairs, views.images[0])
+    # 3. Compare given cameras with the matches.
+    notes = choice.notes
+    if views.cam_from_world is not None and views.intrinsics is not None:
+        cameras, intrinsics = views.cam_from_world[0], views.intrinsics[0]
+        notes = [*notes, *camera_notes(points, cameras, intrinsics, photos.names)]
+    return CheckedPhotos(photos, compared, notes)
+
+
+def _select(photos: PhotoSet, kept: Sequence[int]) -> PhotoSet:
+    """Some of the photos, in the order of `kept`."""
+    rows = {
+        name: tuple(getattr(photos, name)[index] for index in kept)
+        for name in ("pixel_maps", "paths", "names", "sha256")
+    }
+    return replace(photos, views=photos.views.map(lambda value: value[:, list(kept)]), **rows)

@@ -1,0 +1,104 @@
+"""Views that overlap with no other: another room, a black, covered or overexposed photo."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from instok3d.backbones.nano.common_points import CommonPoints
+
+MATCHED_SHARE = 0.012
+"""Two views overlap from this share of common points on. docs/log.md (2026-11-28) has the
+measurement: 3 of 378 sets of overlapping photos are split, and lose 4 of 1,795 views; of 370 sets
+with an odd view 358 are found."""
+FEATURELESS_SHARE = 0.05
+"""A photo with contrast in a smaller share of its pixels shows nothing: covered, dark,
+overexposed."""
+
+
+@dataclass(frozen=True)
+class ViewChoice:
+    """Which views a scene is made of."""
+
+    kept: list[int]
+    """In rising order, at least one."""
+    notes: list[str]
+    """Which views match no other, and what was done with them."""
+
+
+def choose_matching_views(
+    points: Sequence[CommonPoints],
+    contrast: Float[Tensor, " view"],
+    names: Sequence[str],
+    *,
+    posed: bool,
+) -> ViewChoice:
+    """The largest set of views that are linked by matches, directly or through other views.
+
+    Other views are left out if cameras have to be solved for. With given cameras a view has a
+    place even if it overlaps with no other, so only featureless views are left out. The same holds
+    if no two views match, because then nothing tells which one is odd.
+
+    Args:
+        points: Of enough pairs to link all views, as `NanoBackbone.find_matches` chooses them.
+        contrast: As `contrast_share` computes it.
+        names: Of the photos.
+        posed: Whether cameras were given.
+    """
+    views = range(len(names))
+    linked = _largest_component(points, len(names))
+    featureless = [view for view in views if float(contrast[view]) < FEATURELESS_SHARE]
+    none_match = len(linked) == 1
+    if none_match and len(featureless) == len(names):
+        return ViewChoice(list(views), [_featureless_note(names)])
+    unmatched = list(views) if none_match else [view for view in views if view not in linked]
+    if len(names) == 1 or not unmatched:
+        return ViewChoice(list(views), [])
+    left_out = unmatched
+    if posed or none_match:
+        left_out = [view for view in unmatched if view in featureless]
+    kept = [view for view in views if view not in left_out]
+    notes = []
+    if left_out:
+        listed = _listed(names, left_out)
+        notes.append(f"left out, as they match none of the other photos: {listed}")
+    unchecked = [view for view in unmatched if view in kept]
+    if unchecked and len(kept) > 1:
+        notes.append(_unchecked_note(_listed(names, unchecked), posed))
+    return ViewChoice(kept, notes)
+
+
+def _largest_component(points: Sequence[CommonPoints], count: int) -> list[int]:
+    """The largest set of linked views; of equally large ones that of the earliest view."""
+    component = list(range(count))
+    for pair in points:
+        if pair.share >= MATCHED_SHARE:
+            old, new = component[pair.view_b], component[pair.view_a]
+            component = [new if each == old else each for each in component]
+    largest = max(component, key=lambda each: (component.count(each), -component.index(each)))
+    return [view for view in range(count) if component[view] == largest]
+
+
+def _featureless_note(names: Sequence[str]) -> str:
+    return (
+        f"nothing can be made out in any photo (covered, dark or overexposed): {', '.join(names)}; "
+        "the scene is a guess"
+    )
+
+
+def _unchecked_note(listed: str, posed: bool) -> str:
+    if posed:
+        return (
+            f"these photos match none of the others: {listed}; their cameras are used as given, "
+            "and no other photo confirms their depth"
+        )
+    # Without given cameras unmatched views are kept only if no two views match.
+    return (
+        f"no two of these photos match: {listed}; their relative cameras are a guess: take photos "
+        "that share half of what they show"
+    )
+
+
+def _listed(names: Sequence[str], views: Sequence[int]) -> str:
+    return ", ".join(names[view] for view in views)
