@@ -9,7 +9,7 @@ from pathlib import Path
 from instok3d.datasets.posed_photos import PhotoFiles, origin_of, prepared_photo
 from instok3d.datasets.preparation import SceneJob, estimate_bytes
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, Split
-from instok3d.photos.cameras import CameraSet, PhotoCamera
+from instok3d.photos.cameras import CameraSet
 from instok3d.photos.captures import find_photos_and_cameras
 from instok3d.photos.depth_checks import check_depth, read_depth_views
 from instok3d.photos.file_names import given_path
@@ -50,7 +50,7 @@ class FootageSource:
         photos, cameras = find_photos_and_cameras(
             self.folder, self.cameras, allow_outside=self.allow_outside
         )
-        files = _files_of(photos, cameras, self.masks)
+        files = photo_files(photos, cameras, self.masks)
         layers = ["images"]
         layers += ["depths"] * files[0].with_depth + ["instances"] * (self.masks is not None)
         settings = {"size": self.size, "layers": layers, "cameras": cameras is not None,
@@ -64,15 +64,21 @@ class FootageSource:
 
 
 def _origin(files: Sequence[PhotoFiles]) -> str:
-    maps = [file.ids for file in files if file.ids is not None]
+    maps = [file.ids for file in files if isinstance(file.ids, Path)]
     cameras = [file.camera for file in files if file.camera is not None]
     numbers = [(c.intrinsics.tolist(), c.cam_from_world.tolist()) for c in cameras]
     return origin_of([file.photo for file in files] + maps, repr(numbers).encode())
 
 
-def _files_of(
-    photos: Sequence[Path], cameras: CameraSet | None, masks: Path | None
+def photo_files(
+    photos: Sequence[Path], cameras: CameraSet | None, masks: Path | None = None
 ) -> list[PhotoFiles]:
+    """The files of each photo: its camera, depth in metres and id map, where they are known.
+
+    Raises:
+        FileNotFoundError: A photo has no id map.
+        ValueError: A photo has no camera, or names of photos differ in their ending alone.
+    """
     known = [None] * len(photos) if cameras is None else cameras.of(photos)
     has_depth = any(camera is not None and camera.depth_path is not None for camera in known)
     if has_depth and cameras is not None and cameras.units != "metres":
@@ -110,13 +116,18 @@ def _id_maps(photos: Sequence[Path], masks: Path) -> list[Path]:
 
 
 def _frames(files: Sequence[PhotoFiles], size: int) -> Iterator[PreparedFrame]:
-    _check_depth([file.camera for file in files if file.camera is not None and file.with_depth])
+    check_metric_depth(files)
     with own_pixel_limit():
         for file in files:
             yield prepared_photo(file, size)
 
 
-def _check_depth(cameras: Sequence[PhotoCamera]) -> None:
-    """Refuse depth in another unit than metres, that of the cameras, before a frame is written."""
+def check_metric_depth(files: Sequence[PhotoFiles]) -> None:
+    """Refuse depth in another unit than metres, that of the cameras, before a frame is written.
+
+    Raises:
+        ValueError: It is, or there is none in the depth pictures.
+    """
+    cameras = [file.camera for file in files if file.camera is not None and file.with_depth]
     for note in check_depth(read_depth_views(cameras), metric=True):
         warnings.warn(note, stacklevel=3)

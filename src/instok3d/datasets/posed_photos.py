@@ -37,8 +37,9 @@ class PhotoFiles:
     """Its name in the prepared scene."""
     camera: PhotoCamera | None = None
     """None for a photo without."""
-    ids: Path | None = None
-    """Map of instance ids, 8 or 16 bits, of the photo's size."""
+    ids: Path | UInt16[np.ndarray, "height width"] | None = None
+    """Map of instance ids, of the photo's size: a file of 8 or 16 bits, whose photo EXIF does not
+    turn, or the numbers for the upright photo."""
     with_depth: bool = False
     """Whether the scene has depth; a photo without then gets zeros."""
 
@@ -146,16 +147,19 @@ def _turned(camera: PhotoCamera, turned_by: int, photo: Path) -> Distortion:
 def _ids(files: PhotoFiles, decoded: DecodedPhoto) -> UInt16[np.ndarray, "height width"]:
     assert files.ids is not None
     pixel_map = decoded.pixel_map
-    pixels = pixel_map.original_height * pixel_map.original_width
-    ids = read_id_png(files.ids.read_bytes(), str(files.ids), pixels)
-    if pixel_map.exif_orientation != 1:
-        raise ValueError(
-            f"{files.photo} is turned by EXIF, so how its ids {files.ids.name} lie is not known; "
-            "save the photo upright and make its ids again"
-        )
+    if isinstance(files.ids, Path):
+        pixels = pixel_map.original_height * pixel_map.original_width
+        ids, name = read_id_png(files.ids.read_bytes(), str(files.ids), pixels), str(files.ids)
+        if pixel_map.exif_orientation != 1:
+            raise ValueError(
+                f"{files.photo} is turned by EXIF, so how its ids {files.ids.name} lie is not "
+                "known; save the photo upright and make its ids again"
+            )
+    else:
+        ids, name = files.ids, f"of {files.photo}"
     if ids.shape != (pixel_map.original_height, pixel_map.original_width):
         raise ValueError(
-            f"the id map {files.ids} has {ids.shape[1]} x {ids.shape[0]} pixels, its photo "
+            f"the id map {name} has {ids.shape[1]} x {ids.shape[0]} pixels, its photo "
             f"{pixel_map.original_width} x {pixel_map.original_height}; they must be equal"
         )
     return ids
