@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from instok3d.evaluation.outlines import FORMAT as OUTLINES_FORMAT
 from instok3d.model.files import FORMAT as MODEL_FORMAT
 from instok3d.rooms.shards import FORMAT as ROOMS_FORMAT
 from instok3d.scene.record import SceneTokens
@@ -46,5 +47,5 @@ def test_every_tensor_of_a_scene_is_on_the_page(name: str, kind: type):
 
 def test_versions_are_those_of_the_program():
     assert f"| scene folder | `version` of `scene.json` | {VERSION} |" in PAGE
-    for version in (MODEL_FORMAT, ROOMS_FORMAT):
+    for version in (MODEL_FORMAT, ROOMS_FORMAT, OUTLINES_FORMAT):
         assert f"| `{version}` |" in PAGE
