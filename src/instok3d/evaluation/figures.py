@@ -50,9 +50,12 @@ class Figures:
     """PSNR where the length of the predicted world comes from true depth, not from baselines."""
     groups_used: float | None
     """Groups that win at least one anchor, mean over samples."""
+    id_agreement: float | None
+    """Share of pixels whose object id is the same in other views, mean over samples."""
     counts: dict[str, int]
     """Scores behind each figure: target views behind pictures, samples behind cameras, depth and
-    groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance."""
+    groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance; in masks the
+    target views whose ids are known."""
 
 
 PICTURES = ("psnr", "ssim", "lpips", "psnr_depth_scaled")
@@ -82,6 +85,7 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
     )
     pictures = {name: _known(views, name) for name in PICTURES}
     used = [float(count) for scene in scenes for count in scene.groups_used]
+    agreements = [share for scene in scenes for share in scene.id_agreement if share is not None]
     return Figures(
         scenes=len(scenes),
         samples=len(samples),
@@ -101,12 +105,15 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         **{name: _median(_of_scenes(scenes, name, np.median)) for name in MEDIANS},
         **{name: _mean(_of_scenes(scenes, name, np.mean)) for name in MEANS},
         groups_used=_mean(used),
+        id_agreement=_mean(agreements),
         counts={
             **{name: len(values) for name, values in pictures.items()},
             **{name: len(_known(samples, name)) for name in (*MEDIANS, *MEANS)},
             "ap": with_instances,
             "ap_scene_mean": with_instances,
             "groups_used": len(used),
+            "id_agreement": len(agreements),
+            "masks": with_masks,
         },
     )
 

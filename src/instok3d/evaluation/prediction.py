@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.data.sample import Sample, photos_only
@@ -21,7 +21,7 @@ from instok3d.refinement.assignment import reassigned
 from instok3d.refinement.optimization import refine_gaussians
 from instok3d.refinement.settings import RefinementSettings
 from instok3d.render import render
-from instok3d.types import Cameras, Geometry, TokenGroups, Views
+from instok3d.types import Cameras, Geometry, Rendering, TokenGroups, Views
 
 GeometryMode = Literal["predicted", "intrinsics", "given"]
 """'predicted': the model sees bare photos. 'intrinsics': photos and their true intrinsics, as the
@@ -32,6 +32,18 @@ NEAR, FAR = 0.05, 100.0
 
 Model = Callable[[Views], TokenGroups]
 """A Tokenizer, or whatever answers like one."""
+
+
+@dataclass(frozen=True)
+class RenderedIds:
+    """The groups that views of one scene show, and how far away what they show is."""
+
+    ids: Int[Tensor, "view height width"]
+    """-1 for no group."""
+    depths: Float[Tensor, "view height width"]
+    """z-depth in units of the predicted world; 0 where nothing is."""
+    cameras: Cameras
+    """In the predicted world."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +63,8 @@ class Prediction:
     """The targets rendered with the length fitted to true depth instead of baselines: a
     diagnostic that says how much of an error is the length alone. None at true target cameras and
     where no depth is known."""
+    rendered_ids: RenderedIds | None = None
+    """Of the context views at their predicted cameras, then of the targets; if asked for."""
 
 
 @torch.no_grad()
@@ -63,6 +77,7 @@ def predict(
     pose_alignment_steps: int = 0,
     alpha_min: float = 0.0,
     refine: int = 0,
+    with_ids: bool = False,
 ) -> Prediction:
     """Run the model on the context views of a sample and render its scene at the targets.
 
@@ -74,6 +89,7 @@ def predict(
         pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
         alpha_min: Pixels covered no more than this belong to no group.
         refine: Steps of refinement on the context photos, at the cameras of the prediction.
+        with_ids: Also render the ids of the context views, for `rendered_ids`.
 
     Raises:
         ValueError: The sample is no batch of one, or lacks true cameras or depth; or the model's
@@ -118,22 +134,40 @@ def predict(
     cameras = refined_cameras(
         gaussians, cameras, sample.target.images[0], steps=pose_alignment_steps
     )
+    anchor_features = pi[:, :-1].contiguous()
     rendering = render(
-        gaussians, cameras, height, width, anchor_features=pi[:, :-1].contiguous(),
-        near=NEAR, far=FAR,
-    )  # fmt: skip
-    assert rendering.features is not None
+        gaussians, cameras, height, width, anchor_features=anchor_features, near=NEAR, far=FAR
+    )
+    masks = _masks(rendering, alpha_min)
+    rendered_ids = None
+    if with_ids:
+        seen = render(
+            gaussians, predicted, height, width, anchor_features=anchor_features, near=NEAR,
+            far=FAR,
+        )  # fmt: skip
+        maps = (*_masks(seen, alpha_min), *masks)
+        rendered_ids = RenderedIds(
+            ids=torch.stack([torch.from_numpy(each.ids) for each in maps]),
+            depths=torch.cat([seen.depths, rendering.depths]),
+            cameras=Cameras.concatenate([predicted, cameras]),
+        )
     winners = pi.argmax(dim=-1)
     return Prediction(
         images=rendering.colors,
-        masks=tuple(
-            predicted_masks(maps, alphas, alpha_min=alpha_min)
-            for maps, alphas in zip(rendering.features, rendering.alphas, strict=True)
-        ),
+        masks=masks,
         num_groups_used=len(winners[winners < pi.shape[-1] - 1].unique()),
         cameras=cameras,
         geometry=groups.geometry,
         images_depth_scaled=by_depth,
+        rendered_ids=rendered_ids,
+    )
+
+
+def _masks(rendering: Rendering, alpha_min: float) -> tuple[PredictedMasks, ...]:
+    assert rendering.features is not None
+    return tuple(
+        predicted_masks(maps, alphas, alpha_min=alpha_min)
+        for maps, alphas in zip(rendering.features, rendering.alphas, strict=True)
     )
 
 

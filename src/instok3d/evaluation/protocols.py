@@ -35,7 +35,8 @@ class ProtocolScene:
     name: str
     """In its data set; the seed of a room."""
     level: str | None
-    """One of LEVELS for a room."""
+    """Under which name it is averaged apart, too: one of LEVELS for a room, its own name for a
+    capture."""
     samples: tuple[Sample, ...]
     """Batches of one: different frames of the scene, predicted independently."""
     unit: Unit = "metre"

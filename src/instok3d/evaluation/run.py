@@ -7,6 +7,7 @@ from typing import Literal
 from instok3d.data.batches import Unit
 from instok3d.data.sample import Sample
 from instok3d.evaluation.figures import Figures, summarize
+from instok3d.evaluation.id_agreement import id_agreement
 from instok3d.evaluation.instance_ap import ApSettings
 from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, predict
 from instok3d.evaluation.protocols import LEVELS, ProtocolScene
@@ -37,6 +38,8 @@ class EvaluationSettings:
     """Pixels covered no more than this belong to no predicted group."""
     baselines: bool = False
     """Also measure the simple baselines."""
+    id_agreement: bool = False
+    """Also measure whether views agree on the objects that they show."""
 
     def __post_init__(self):
         if self.geometry == "given" and self.target_cameras == "aligned":
@@ -64,7 +67,7 @@ class EvaluationReport:
     """Network of LPIPS, None where it was not measured."""
     figures: Figures
     levels: dict[str, Figures]
-    """easy, medium and hard rooms alone."""
+    """easy, medium and hard rooms alone; each capture alone."""
     baselines: dict[str, Figures]
     scenes: tuple[str, ...]
     """Names; the seeds of rooms."""
@@ -75,6 +78,11 @@ class EvaluationReport:
     def of_rooms(self) -> bool:
         """Whether it is of rendered rooms, which have seeds and levels."""
         return self.protocol.startswith("rooms-")
+
+    @property
+    def of_captures(self) -> bool:
+        """Whether it is of captures, which are reported one by one too."""
+        return self.protocol.startswith("capture-")
 
 
 def evaluate(
@@ -116,7 +124,7 @@ def evaluate(
             on_scene(scene, predictions)
     if not scores:
         raise ValueError("evaluate needs at least one scene, got none")
-    levels = [level for level in LEVELS if any(score.level == level for score in scores)]
+    levels = _levels(scores)
     return EvaluationReport(
         protocol=protocol,
         model=model_name,
@@ -130,6 +138,12 @@ def evaluate(
     )
 
 
+def _levels(scores: Sequence[SceneScore]) -> list[str]:
+    """The levels that were measured: LEVELS in their order, others as they come."""
+    found = dict.fromkeys(score.level for score in scores if score.level is not None)
+    return sorted(found, key=lambda level: LEVELS.index(level) if level in LEVELS else len(LEVELS))
+
+
 def _predict(
     model: Model, sample: Sample, targets: TargetCameras, settings: EvaluationSettings
 ) -> Prediction:
@@ -141,6 +155,7 @@ def _predict(
         pose_alignment_steps=settings.pose_alignment_steps,
         alpha_min=settings.alpha_min,
         refine=settings.refine,
+        with_ids=settings.id_agreement,
     )
 
 
@@ -171,6 +186,11 @@ def _score_model(
         views=tuple(view for sample_views in views for view in sample_views),
         geometry=geometry,
         groups_used=tuple(prediction.num_groups_used for prediction in predictions),
+        id_agreement=tuple(
+            id_agreement(sample, prediction.rendered_ids)
+            for sample, prediction in pairs
+            if prediction.rendered_ids is not None
+        ),
     )
 
 

@@ -55,6 +55,8 @@ class SceneScore:
     views: tuple[ViewScore, ...]
     geometry: tuple[GeometryScore, ...] = ()
     groups_used: tuple[int, ...] = ()
+    id_agreement: tuple[float | None, ...] = ()
+    """Of each sample: see `id_agreement.id_agreement`; None where no two views share a surface."""
 
 
 @torch.no_grad()
@@ -68,6 +70,8 @@ def score_views(
     images_depth_scaled: Float[Tensor, "target 3 height width"] | None = None,
 ) -> list[ViewScore]:
     """Scores of the target views of a sample of one, for the pictures or masks that are there.
+
+    A view without any known id (-1 everywhere) has no score of masks.
 
     Raises:
         ValueError: A picture, and so a score, is not finite.
@@ -83,9 +87,10 @@ def score_views(
     large = ApSettings(LARGE_AREA, settings.min_predicted_area, settings.void)
     scores = []
     for number, ids in enumerate(sample.target_instances[0].cpu().numpy()):
+        mask = None if masks is None or (ids == -1).all() else masks[number]
         score = ViewScore(
-            matches=None if masks is None else match_image(ids, masks[number], settings),
-            matches_large=None if masks is None else match_image(ids, masks[number], large),
+            matches=None if mask is None else match_image(ids, mask, settings),
+            matches_large=None if mask is None else match_image(ids, mask, large),
             **{name: float(values[number]) for name, values in pictures.items()},
         )
         check_numbers(score, f"{sample.names[0]}, target {number},")
