@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from capture_folders import write_capture, write_outlines
 from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
@@ -131,3 +132,95 @@ def test_bad_input_is_one_sentence_and_an_exit_code(folder, capsys, more, code, 
     said = capsys.readouterr()
     assert message in said.err
     assert said.out == ""
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory) -> Path:
+    """A capture of 15 frames with metric depth and one of 3 without depth."""
+    folder = tmp_path_factory.mktemp("captures")
+    write_capture(folder / "long", 15)
+    write_capture(folder / "short", 3, depth=False)
+    return folder
+
+
+def capture_command(model: Path, data: Path, *more: str) -> list[str]:
+    words = ["evaluate", "capture", "--data", str(data), "--targets-per-scene", "2"]
+    return [*words, "--model", str(model / "tiny.safetensors"), *more]
+
+
+def test_captures_are_measured_by_both_protocols(folder, captures, capsys):
+    # Given cameras, because those of eight views take long to predict.
+    more = ["--json", "--pose-alignment-steps", "0", "--geometry", "given"]
+    with pytest.warns(UserWarning, match=r"1 of 2 captures have fewer than the 15 frames .*short"):
+        assert main(capture_command(folder, captures, *more)) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"protocol", "capture-2view", "capture-8view"}
+    two, eight = result["capture-2view"], result["capture-8view"]
+    beside = {"id_agreement", "targets", "outlined_targets", "aligned", "captures"}
+    assert set(two) == set(eight) == {"protocol", "model", "scenes", *KEYS, *beside}
+    assert (two["scenes"], two["targets"], two["outlined_targets"]) == (2, 3, 0)
+    assert (eight["scenes"], eight["targets"], eight["outlined_targets"]) == (1, 7, 0)
+    assert eight["ap"] is eight["aligned"] is None
+    assert set(eight["captures"]) == {"long"}
+
+
+def test_outlines_and_aligned_targets_of_captures(folder, captures, tmp_path, capsys):
+    outlines = write_outlines(
+        tmp_path / "outlines", captures / "long/color/4.png", {"wall": [[0, 0], [32, 0], [32, 32]]}
+    )
+    more = ["--json", "--pose-alignment-steps", "1", "--save", str(tmp_path / "sheets")]
+    words = capture_command(folder, captures, *more, "--outlines", str(outlines.parent))
+    words[1] = "capture-2view"
+    assert main(words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["outlined_targets"] == 1
+    assert result["ap"] is not None
+    long, short = result["captures"]["long"], result["captures"]["short"]
+    assert short["ap"] is short["depth_rel"] is None
+    assert long["rotation_deg"] is not None
+    assert short["id_agreement"] is not None
+    assert result["aligned"]["steps"] == 1
+    assert result["aligned"]["psnr"] != result["psnr"]
+    assert {path.name for path in (tmp_path / "sheets").iterdir()} == {
+        "capture-2view_long.png", "capture-2view_short.png", "capture-2view_aligned_long.png",
+        "capture-2view_aligned_short.png",
+    }  # fmt: skip
+
+
+def test_a_table_and_rows_of_a_capture_have_both_kinds_of_targets(folder, captures, capsys):
+    words = capture_command(folder, captures / "short", "--pose-alignment-steps", "1")
+    words[1] = "capture-2view"
+    assert main(words) == 0
+    table = capsys.readouterr().out
+    assert "all scenes, aligned" in table
+    assert "0 of 1 target views have outlines" in table
+    assert "No true depth is known" in table
+    assert main([*words, "--markdown"]) == 0
+    head, _, placed, aligned = capsys.readouterr().out.splitlines()
+    assert "| same id |" in head
+    assert "| predicted |" in placed
+    assert "| predicted, targets aligned in 1 steps |" in aligned
+    assert head.count("|") == placed.count("|") == aligned.count("|")
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--outlines", "/nowhere"], "no folder of outlines /nowhere"),
+        (["--frame-step", "0"], "--frame-step must be at least 1, got 0"),
+        (["--targets-per-scene", "0"], "--targets-per-scene must be at least 1, got 0"),
+        (["--frame-step", "20"], "can be measured by capture"),
+        (["--data", "/nowhere"], "there is no folder /nowhere"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*have fewer than")
+def test_what_captures_cannot_be_asked_for_is_said(folder, captures, capsys, more, message):
+    assert main(capture_command(folder, captures, *more)) == 2
+    said = capsys.readouterr()
+    assert message in said.err
+    assert said.out == ""
+
+
+def test_outlines_are_for_captures_alone(folder, tmp_path, capsys):
+    assert main(command(folder, "--outlines", str(tmp_path))) == 2
+    assert "--outlines are of photos of captures, rooms-2view has" in capsys.readouterr().err

@@ -9,11 +9,14 @@ import tyro
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from tqdm import tqdm
+
     from instok3d.data.batches import Unit
     from instok3d.datasets.prepared import Split
     from instok3d.evaluation.dataset_protocols import DatasetProtocol
     from instok3d.evaluation.prediction import Prediction
     from instok3d.evaluation.protocols import ProtocolScene
+    from instok3d.evaluation.run import EvaluationReport
 
 Protocol = Literal[
     "rooms-2view",
@@ -22,6 +25,9 @@ Protocol = Literal[
     "scannet-8view",
     "re10k-2view",
     "mipnerf360-2view",
+    "capture",
+    "capture-2view",
+    "capture-8view",
 ]
 
 
@@ -33,11 +39,13 @@ def run(
     geometry: Literal["predicted", "intrinsics", "given"] | None = None,
     target_cameras: Literal["auto", "true", "aligned"] = "auto",
     scenes: int | None = None,
-    targets_per_scene: int = 3,
+    targets_per_scene: int | None = None,
+    frame_step: int = 1,
+    outlines: Path | None = None,
     index: Path | None = None,
     all_targets: bool = False,
     split: Literal["train", "val", "test"] = "test",
-    pose_alignment_steps: int = 0,
+    pose_alignment_steps: int | None = None,
     refine: int = 0,
     lpips: str | None = None,
     baselines: bool = False,
@@ -50,36 +58,43 @@ def run(
 
     Args:
         protocol: rooms-2view shows frames i-1 and i+1 and asks for frame i; rooms-8view shows
-            every other frame of 15 and asks for the 7 between. The others are those of LSM and
+            every other frame of 15 and asks for the 7 between; capture-2view and capture-8view
+            do so with photos of real rooms, capture is both. The others are those of LSM and
             Uni3R, pixelSplat, and Uni3R (docs/evaluation.md).
         data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`, or
-            of prepared scenes, from `instok3d data prepare`.
+            of prepared scenes, from `instok3d data prepare`; or a capture, photos with their
+            cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
         model: A model file instead of the default model.
         geometry: predicted: bare photos. intrinsics: the model is told the true intrinsics too.
-            given: it gets true cameras and depth. None: predicted for rooms; intrinsics for the
-            others, as in the paper.
+            given: it gets true cameras and depth. None: predicted for rooms and captures;
+            intrinsics for the others, as in the paper.
         target_cameras: Where targets are rendered. true: at their true cameras. aligned: these,
             brought into the predicted world. auto: true for a model that is told the intrinsics
             and learned to answer in the unit of the scenes, aligned for others.
         scenes: Only the first so many rooms or scenes.
-        targets_per_scene: How many i of each room (rooms-2view).
+        targets_per_scene: How many i of each room (rooms-2view), 3 as a rule; the most targets of
+            each capture, 100 as a rule.
+        frame_step: Only every so many frames of a capture are used.
+        outlines: A folder of outlines of the objects in photos of captures, for AP, instead of
+            those that come with the package (docs/formats.md).
         index: The evaluation index of RealEstate10K, a JSON file (re10k-2view).
         all_targets: Every eighth-frame target of a scene, not its middle one (mipnerf360-2view).
         split: Which prepared scenes; rooms are told by their seeds.
-        pose_alignment_steps: Fit each target camera to the target photo first; off as a rule.
+        pose_alignment_steps: Fit each target camera to the target photo first; off as a rule. For
+            captures these are figures beside the others, by 25 steps as a rule; 0 leaves them out.
         refine: Steps in which the Gaussians are optimised on the context photos first, as
             reconstruct does by default; 0 measures the paper's single forward pass.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
             it LPIPS is null.
         baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
-        save: A folder for a picture of each sample: photos, target, render, true and predicted
-            masks.
+        save: A folder for a picture of each sample, or of each capture: photos, target, render,
+            true and predicted masks.
         json: Print one JSON object.
         details: With --json: also settings, levels, baselines and further figures.
         markdown: Print rows for docs/results.md.
     """
+    from instok3d.cli.evaluate_captures import ALIGNMENT_STEPS, Run, capture_runs
     from instok3d.evaluation.instance_ap import ApSettings
-    from instok3d.evaluation.report import as_json, as_table
     from instok3d.evaluation.run import EvaluationSettings, evaluate
     from instok3d.files import sha256_of
     from instok3d.model.files import DEFAULT_MODEL, load_model, read_unit
@@ -87,66 +102,123 @@ def run(
     from instok3d.progress import progress_bar
     from instok3d.refinement.settings import check_steps
 
-    if pose_alignment_steps < 0:
-        raise ValueError(f"--pose-alignment-steps must be 0 or more, got {pose_alignment_steps}")
+    of_captures = protocol.startswith("capture")
+    bare = of_captures or protocol.startswith("rooms-")
+    steps = ALIGNMENT_STEPS * of_captures if pose_alignment_steps is None else pose_alignment_steps
+    if steps < 0:
+        raise ValueError(f"--pose-alignment-steps must be 0 or more, got {steps}")
+    if outlines is not None and not of_captures:
+        raise ValueError(f"--outlines are of photos of captures, {protocol} has its own masks")
     check_steps(refine)
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
     unit = read_unit(model)
     settings = EvaluationSettings(
-        geometry=geometry or ("predicted" if protocol.startswith("rooms-") else "intrinsics"),
+        geometry=geometry or ("predicted" if bare else "intrinsics"),
         target_cameras=target_cameras,
         model_unit=unit,
-        pose_alignment_steps=pose_alignment_steps,
+        pose_alignment_steps=0 if of_captures else steps,
         refine=refine,
-        ap=ApSettings(min_instance_area=20 if protocol.startswith("rooms-") else 0),
+        ap=ApSettings(min_instance_area=20 if bare else 0),
         baselines=baselines,
+        id_agreement=of_captures,
     )
     distance = None if lpips is None else load_lpips(lpips)
-    if protocol in ("rooms-2view", "rooms-8view"):
-        total, asked = _rooms(data, protocol, scenes, targets_per_scene, unit)
+    if protocol in ("capture", "capture-2view", "capture-8view"):
+        runs = capture_runs(
+            data, protocol, settings, steps=steps, num_captures=scenes, model=model,
+            targets_per_scene=targets_per_scene, frame_step=frame_step, outlines=outlines,
+        )  # fmt: skip
+    elif protocol in ("rooms-2view", "rooms-8view"):
+        most = 3 if targets_per_scene is None else targets_per_scene
+        runs = [Run(protocol, settings, *_rooms(data, protocol, scenes, most, unit))]
     else:
-        total, asked = _prepared(data, protocol, scenes, index, all_targets, split, unit)
-    asked = _checked(asked, model)
-    tokenizer = load_model(model)
-    if save is not None:
-        save.mkdir(parents=True, exist_ok=True)
+        prepared = _prepared(data, protocol, scenes, index, all_targets, split, unit)
+        runs = [Run(protocol, settings, *prepared)]
     file = DEFAULT_MODEL if model is None else model
-    with progress_bar(total, unit="scene") as bar:
+    model_name = None
+    reports = []
+    for each in runs:
+        asked = _checked(each.scenes, model)
+        tokenizer = load_model(model)
+        model_name = model_name or f"{file.name} sha256:{sha256_of(file)[:12]}"
+        if save is not None:
+            save.mkdir(parents=True, exist_ok=True)
+        with progress_bar(each.total, unit="scene") as bar:
 
-        def on_scene(scene: "ProtocolScene", predictions: "Sequence[Prediction]") -> None:
-            bar.update()
-            if save is not None:
-                _save_sheets(save, protocol, scene, predictions)
+            def on_scene(
+                scene: "ProtocolScene",
+                predictions: "Sequence[Prediction]",
+                bar: "tqdm" = bar,
+                name: str = each.name,
+            ) -> None:
+                bar.update()
+                if save is not None:
+                    _save_sheets(save, name, scene, predictions, one=of_captures)
 
-        report = evaluate(
-            tokenizer,
-            asked,
-            settings,
-            protocol=protocol,
-            model_name=f"{file.name} sha256:{sha256_of(file)[:12]}",
-            lpips=distance,
-            on_scene=on_scene,
-        )
+            reports.append(
+                evaluate(
+                    tokenizer,
+                    asked,
+                    each.settings,
+                    protocol=each.protocol,
+                    model_name=model_name,
+                    lpips=distance,
+                    on_scene=on_scene,
+                )
+            )
+    _print(
+        reports,
+        json=json,
+        details=details,
+        markdown=markdown,
+        model=model,
+        both=protocol == "capture",
+    )
+
+
+def _print(
+    reports: "Sequence[EvaluationReport]",
+    *,
+    model: Path | None,
+    json: bool,
+    details: bool,
+    markdown: bool,
+    both: bool,
+) -> None:
+    """The reports on stdout; of captures, one with aligned targets follows the one without."""
+    from instok3d.evaluation.report import as_json, as_table
+
+    plain = [
+        each for each in reports if not (each.of_captures and each.settings.pose_alignment_steps)
+    ]
+    aligned = {each.protocol: each for each in reports if each not in plain}
     if json:
         from instok3d.cli.info import print_json
 
-        print_json(as_json(report, details=details))
+        values = {
+            each.protocol: as_json(each, details=details, aligned=aligned.get(each.protocol))
+            for each in plain
+        }
+        print_json({"protocol": "capture", **values} if both else values[plain[0].protocol])
     elif markdown:
         from instok3d.evaluation.report import results_header, results_rows
         from instok3d.model.files import read_card
         from instok3d.version import current_commit, short
 
-        rows = results_rows(
-            report,
-            command=" ".join(["instok3d", *sys.argv[1:]]),
-            commit=short(current_commit()),
-            seed=read_card(model).get("config", {}).get("seed"),
-            machine=_machine(),
-        )
-        print(f"{results_header(report)}\n{rows}")
+        print(results_header(reports[0]))
+        for each in reports:
+            rows = results_rows(
+                each,
+                command=" ".join(["instok3d", *sys.argv[1:]]),
+                commit=short(current_commit()),
+                seed=read_card(model).get("config", {}).get("seed"),
+                machine=_machine(),
+            )
+            print(rows)
     else:
-        print(as_table(report))
+        tables = [as_table(each, aligned=aligned.get(each.protocol)) for each in plain]
+        print("\n\n".join(tables))
 
 
 def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[ProtocolScene]":
@@ -215,10 +287,19 @@ def _prepared(
 
 
 def _save_sheets(
-    folder: Path, protocol: str, scene: "ProtocolScene", predictions: "Sequence[Prediction]"
+    folder: Path,
+    protocol: str,
+    scene: "ProtocolScene",
+    predictions: "Sequence[Prediction]",
+    *,
+    one: bool,
 ) -> None:
-    from instok3d.evaluation.sheet import write_sheet
+    """A picture of each sample, or one of them all."""
+    from instok3d.evaluation.sheet import write_scene_sheet, write_sheet
 
+    if one:
+        write_scene_sheet(folder / f"{protocol}_{scene.name}.png", scene.samples, predictions)
+        return
     kind = "" if scene.level is None else f"{scene.level}_"
     for number, (sample, prediction) in enumerate(zip(scene.samples, predictions, strict=True)):
         name = f"{protocol}_{kind}{scene.name}_{number}.png"

@@ -10,6 +10,12 @@ from instok3d.evaluation.run import EvaluationReport
 KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
 """Figures that a report states first, in this order."""
 
+CAPTURE_KEYS = (*KEYS, "id_agreement")
+"""The same for captures."""
+
+ALIGNED_KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "id_agreement")
+"""What changes where the target cameras are fitted to their photos."""
+
 _DECIMALS = {"psnr": 2, "rotation_deg": 2, "groups_used": 1}
 
 RESULTS_HEADER = (
@@ -20,21 +26,37 @@ RESULTS_HEADER = (
 """Head of the table that `results_rows` fills; it holds this project's own figures alone."""
 
 
-def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
+def as_json(
+    report: EvaluationReport, *, details: bool = False, aligned: EvaluationReport | None = None
+) -> dict[str, Any]:
     """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
+
+    Of captures it has CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP),
+    `captures` (the same of each capture) and `aligned` (ALIGNED_KEYS and the `steps`, or null).
 
     Args:
         report: What was measured.
         details: Adds the key `details`: settings, in how many scenes targets were rendered at true
             cameras, levels, baselines, further figures, seeds of rooms or names of scenes.
+        aligned: The same captures, each target camera fitted to its photo.
     """
     figures = report.figures
     result: dict[str, Any] = {
         "protocol": report.protocol,
         "model": report.model,
         "scenes": figures.scenes,
-        **{key: _rounded(getattr(figures, key)) for key in KEYS},
+        **_known_as(figures, KEYS),
     }
+    if report.of_captures:
+        fitted = None if aligned is None else aligned.figures
+        result |= _capture_json(figures, fitted, aligned)
+        result["captures"] = {
+            name: {
+                **_known_as(each, KEYS),
+                **_capture_json(each, aligned and aligned.levels[name], aligned),
+            }
+            for name, each in report.levels.items()
+        }
     if details:
         result["details"] = {
             "settings": asdict(report.settings),
@@ -52,13 +74,24 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
     return result
 
 
-def as_table(report: EvaluationReport) -> str:
-    """The report for a terminal: a row for the model, each level and each baseline, and notes."""
+def as_table(report: EvaluationReport, *, aligned: EvaluationReport | None = None) -> str:
+    """The report for a terminal: a row for the model, each level and each baseline, and notes.
+
+    Args:
+        report: What was measured.
+        aligned: The same captures, each target camera fitted to its photo: rows below the others.
+    """
     word = "rooms" if report.of_rooms else "scenes"
-    rows = [("", word, *(key.replace("_", " ") for key in KEYS))]
-    named = {f"all {word}": report.figures, **report.levels, **report.baselines}
+    keys = _keys(report)
+    rows = [("", word, *(key.replace("_", " ") for key in keys))]
+    levels = report.levels if report.of_rooms or len(report.levels) > 1 else {}
+    named = {f"all {word}": report.figures, **levels, **report.baselines}
     for name, figures in named.items():
-        rows.append((name, str(figures.scenes), *_cells(figures)))
+        rows.append((name, str(figures.scenes), *_cells(figures, keys)))
+    if aligned is not None:
+        fitted = {name: aligned.levels[name] for name in levels}
+        for name, figures in {f"all {word}": aligned.figures, **fitted}.items():
+            rows.append((f"{name}, aligned", str(figures.scenes), *_cells(figures, keys)))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = [
         "  ".join(cell.ljust(width) if not column else cell.rjust(width)
@@ -66,7 +99,10 @@ def as_table(report: EvaluationReport) -> str:
         for row in rows
     ]  # fmt: skip
     head = f"{report.protocol}, geometry {report.settings.geometry}, model {report.model}"
-    return "\n".join([head, "", *lines, "", *notes(report)])
+    said = notes(report)
+    if aligned is not None:
+        said.append(f"Aligned: {_alignment_note(aligned)}")
+    return "\n".join([head, "", *lines, "", *said])
 
 
 def notes(report: EvaluationReport) -> list[str]:
@@ -77,9 +113,10 @@ def notes(report: EvaluationReport) -> list[str]:
     lines = [
         f"AP: instances of at least {ap.min_instance_area} pixels, masks of at least "
         f"{ap.min_predicted_area}, void pixels {ap.void}d, confidence = mean map, pooled over "
-        f"{figures.targets} target views; mean over {word} {_text(figures.ap_scene_mean)} / "
-        f"{_text(figures.ap50_scene_mean)} / {_text(figures.ap25_scene_mean)}; instances of at "
-        f"least 50 pixels {_text(figures.ap_large)} / {_text(figures.ap50_large)} / "
+        f"{figures.counts['masks']} target views; mean over {word} "
+        f"{_text(figures.ap_scene_mean)} / {_text(figures.ap50_scene_mean)} / "
+        f"{_text(figures.ap25_scene_mean)}; instances of at least 50 pixels "
+        f"{_text(figures.ap_large)} / {_text(figures.ap50_large)} / "
         f"{_text(figures.ap25_large)} (AP / AP50 / AP25)."
     ]
     if figures.ap is None:
@@ -95,11 +132,22 @@ def notes(report: EvaluationReport) -> list[str]:
             f"The Gaussians were refined on the context photos, {report.settings.refine} steps."
         )
     if report.settings.pose_alignment_steps:
+        lines.append(_alignment_note(report))
+    if report.of_captures:
+        known = figures.counts["masks"]
+        lines.append(f"{known} of {figures.targets} target views have outlines to compare with.")
         lines.append(
-            f"Target cameras were refined against the target photos by "
-            f"{report.settings.pose_alignment_steps} steps of pose alignment."
+            "Id agreement: share of the pixels of each view whose surface has the same id in the "
+            "other views that see it."
         )
     return lines
+
+
+def _alignment_note(report: EvaluationReport) -> str:
+    return (
+        "Target cameras were refined against the target photos by "
+        f"{report.settings.pose_alignment_steps} steps of pose alignment."
+    )
 
 
 def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
@@ -131,8 +179,11 @@ def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
 
 
 def results_header(report: EvaluationReport) -> str:
-    """RESULTS_HEADER, with the word for what was measured."""
-    return RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
+    """RESULTS_HEADER, with the word for what was measured, and same ids for captures."""
+    header = RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
+    if not report.of_captures:
+        return header
+    return header.replace("| groups |", "| groups | same id |") + "---|"
 
 
 def results_rows(
@@ -154,6 +205,8 @@ def results_rows(
     geometry = report.settings.geometry
     if geometry != "given" and report.true_targets:
         geometry += ", true targets"
+    if report.settings.pose_alignment_steps:
+        geometry += f", targets aligned in {report.settings.pose_alignment_steps} steps"
     return "\n".join(
         "| "
         + " | ".join(
@@ -163,7 +216,7 @@ def results_rows(
                 name,
                 str(figures.scenes),
                 str(figures.targets),
-                *_cells(figures),
+                *_cells(figures, _keys(report)),
                 f"`{command}`",
                 commit,
                 "-" if seed is None else str(seed),
@@ -175,8 +228,29 @@ def results_rows(
     )
 
 
-def _cells(figures: Figures) -> Sequence[str]:
-    return [_text(getattr(figures, key), _DECIMALS.get(key, 3)) for key in KEYS]
+def _keys(report: EvaluationReport) -> Sequence[str]:
+    return CAPTURE_KEYS if report.of_captures else KEYS
+
+
+def _cells(figures: Figures, keys: Sequence[str]) -> Sequence[str]:
+    return [_text(getattr(figures, key), _DECIMALS.get(key, 3)) for key in keys]
+
+
+def _known_as(figures: Figures, keys: Sequence[str]) -> dict[str, Any]:
+    return {key: _rounded(getattr(figures, key)) for key in keys}
+
+
+def _capture_json(
+    figures: Figures, fitted: Figures | None, aligned: EvaluationReport | None
+) -> dict[str, Any]:
+    """What the report of captures has beside KEYS."""
+    steps = 0 if aligned is None else aligned.settings.pose_alignment_steps
+    return {
+        "id_agreement": _rounded(figures.id_agreement),
+        "targets": figures.targets,
+        "outlined_targets": figures.counts["masks"],
+        "aligned": None if fitted is None else {"steps": steps, **_known_as(fitted, ALIGNED_KEYS)},
+    }
 
 
 def _text(value: float | None, decimals: int = 3) -> str:

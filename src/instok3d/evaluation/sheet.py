@@ -1,5 +1,6 @@
 """One picture for a sample: context photos, target, render, true and predicted masks."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,37 @@ def write_sheet(path: Path, sample: Sample, prediction: Prediction, *, zoom: int
         prediction: Of that sample.
         zoom: Each pixel becomes zoom x zoom.
     """
-    sections = [Section("context", list(color_picture(sample.context.images[0])))]
+    _write(path, _sections(sample, prediction), zoom * sample.target.images.shape[-2])
+
+
+def write_scene_sheet(
+    path: Path, samples: Sequence[Sample], predictions: Sequence[Prediction], *, most: int = 12
+) -> None:
+    """Write one PNG for a scene: what `write_sheet` shows of each sample, one below the other.
+
+    Args:
+        path: Ends in .png; replaced as a whole.
+        samples: Batches of one.
+        predictions: Of these samples.
+        most: Of more samples so many are shown, spread evenly.
+    """
+    count = min(most, len(samples))
+    shown = [k * len(samples) // count for k in range(count)]
+    sections = []
+    for number in shown:
+        title = samples[number].names[0]
+        sections += _sections(samples[number], predictions[number], title=title)
+    _write(path, sections, samples[0].target.images.shape[-2])
+
+
+def _write(path: Path, sections: Sequence[Section], cell_height: int) -> None:
+    picture = contact_sheet(sections, cell_height=cell_height)
+    with replacing(path) as part:
+        picture.save(part, format="PNG")
+
+
+def _sections(sample: Sample, prediction: Prediction, *, title: str = "context") -> list[Section]:
+    sections = [Section(title, list(color_picture(sample.context.images[0])))]
     for target, photo in enumerate(sample.target.images[0]):
         true_ids = sample.target_instances[0, target].cpu().numpy()
         predicted = recolored(prediction.masks[target].ids, true_ids)
@@ -35,9 +66,7 @@ def write_sheet(path: Path, sample: Sample, prediction: Prediction, *, zoom: int
             id_picture(predicted),
         ]
         sections.append(Section("", cells, ("target", "render", "true ids", "predicted ids")))
-    picture = contact_sheet(sections, cell_height=zoom * sample.target.images.shape[-2])
-    with replacing(path) as part:
-        picture.save(part, format="PNG")
+    return sections
 
 
 def recolored(
