@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from instok3d.backbones.nano.bundle import NEAREST, TRUST_MIN
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
+from instok3d.backbones.nano.threads import all_threads
 from instok3d.geometry.cameras import invert_rigid, pixel_centers, transform_points
 
 try:  # after torch, so that both use torch's OpenMP and its pool of threads
@@ -86,7 +87,7 @@ def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
 def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
     """What `search_reference` does, in C++ for the processor, from float32.
 
-    Uses `torch.get_num_threads()` threads; the result does not depend on how many.
+    Uses all threads, inside of `one_thread` too; the result does not depend on how many.
 
     Raises:
         RuntimeError: The kernels are not built.
@@ -101,24 +102,25 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     pixels = matches.pixels.new_empty(matches.pixels.shape)
     precision = matches.precision.new_empty(matches.precision.shape)
     window = _window(_own_offsets(like=matches.centers)).view(PATCH, PATCH)
-    _alignment.align(
-        *(
-            values.detach().contiguous()
-            for values in (here.images, there.images, matches.centers, depths, matches.pixels,
-                           warps, shifts, window)
-        ),
-        pixels,
-        precision,
-        nearest=NEAREST,
-        largest_warp=WARP_MAX_PX,
-        start_reach=START_REACH_PX,
-        peak_reach=PEAK_REACH_PX,
-        nearest_error=NEAREST_ERROR_PX,
-        color_noise=COLOR_NOISE,
-        shared=SHARED,
-        iterations=ITERATIONS,
-        threads=torch.get_num_threads(),
-    )  # fmt: skip
+    with all_threads():
+        _alignment.align(
+            *(
+                values.detach().contiguous()
+                for values in (here.images, there.images, matches.centers, depths, matches.pixels,
+                               warps, shifts, window)
+            ),
+            pixels,
+            precision,
+            nearest=NEAREST,
+            largest_warp=WARP_MAX_PX,
+            start_reach=START_REACH_PX,
+            peak_reach=PEAK_REACH_PX,
+            nearest_error=NEAREST_ERROR_PX,
+            color_noise=COLOR_NOISE,
+            shared=SHARED,
+            iterations=ITERATIONS,
+            threads=torch.get_num_threads(),
+        )  # fmt: skip
     return replace(matches, pixels=pixels, precision=precision)
 
 

@@ -26,6 +26,7 @@ from instok3d.backbones.nano.pair_cameras import (
 )
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews, scale_focal
 from instok3d.backbones.nano.refinement import DepthRefinement, gather_evidence
+from instok3d.backbones.nano.threads import one_thread
 from instok3d.geometry.cameras import (
     intrinsics_from_field_of_view,
     pixel_centers,
@@ -343,6 +344,7 @@ class NanoBackbone(GeometryBackbone):
             found.append(PairMatches(views_a, views_b, of_a, of_b))
         return found
 
+    @one_thread()
     @torch.no_grad()
     def overlap_scores(self, raw: RawGeometry) -> Float[Tensor, "batch view view"]:
         """Share of a view's cells that are seen in another view, from every 17th cell.

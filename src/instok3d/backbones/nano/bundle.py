@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from instok3d.backbones.nano.threads import all_threads
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.registration import rigid_from_twist, skew
 
@@ -233,9 +234,10 @@ def _normal_equations(
     twists = twist.flatten(1, 2).mT @ twist.flatten(1, 2)
     cross_here = (twist * of_here[..., None]).sum(2).mT @ hats_here
     cross_there = (twist * of_there[..., None]).sum(2).mT @ hats_there
-    nodes_here = (hats_here * of_here.square().sum(-1)[..., None]).mT @ hats_here
-    nodes_there = (hats_there * of_there.square().sum(-1)[..., None]).mT @ hats_there
-    nodes_mixed = (hats_here * (of_here * of_there).sum(-1)[..., None]).mT @ hats_there
+    with all_threads():  # most of the solver's work, large enough to share
+        nodes_here = (hats_here * of_here.square().sum(-1)[..., None]).mT @ hats_here
+        nodes_there = (hats_there * of_there.square().sum(-1)[..., None]).mT @ hats_there
+        nodes_mixed = (hats_here * (of_here * of_there).sum(-1)[..., None]).mT @ hats_there
     twist_gradient = (twist * errors.values[..., None]).sum((1, 2))
     gradient_here = ((of_here * errors.values).sum(-1)[:, None] @ hats_here)[:, 0]
     gradient_there = ((of_there * errors.values).sum(-1)[:, None] @ hats_there)[:, 0]

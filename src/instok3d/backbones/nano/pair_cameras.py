@@ -25,6 +25,7 @@ from instok3d.backbones.nano.pair_matches import (
     pair_sightings,
     thinned,
 )
+from instok3d.backbones.nano.threads import one_thread
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
 
@@ -41,6 +42,7 @@ AGREEMENT_TOGETHER = 0.05
 """x/z, y/z at which a match agrees with cameras that came from aligned pairs."""
 
 
+@one_thread()
 @torch.no_grad()
 def solve_views(
     pairs: list[PairMatches],
@@ -78,6 +80,7 @@ def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"])
     return SolvedViews(cam_from_first, nothing[:, 0, 0, 0], nothing)
 
 
+@one_thread()
 @torch.no_grad()
 def improve_views(
     pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, settings: SolveSettings
@@ -100,6 +103,7 @@ def improve_views(
     return _adjust(aligned, views, solved, replace(settings, noise=noise))
 
 
+@one_thread()
 def align_pairs(
     pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
 ) -> list[PairMatches]:

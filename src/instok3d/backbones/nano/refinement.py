@@ -20,6 +20,7 @@ from instok3d.backbones.nano.pair_matches import (
     PhotoViews,
     matched_cells,
 )
+from instok3d.backbones.nano.threads import one_thread
 from instok3d.geometry.cameras import invert_rigid
 
 NEAREST = 0.05
@@ -44,6 +45,7 @@ class ParallaxEvidence:
     """1 in views that were matched with another one, else 0."""
 
 
+@one_thread()
 @torch.no_grad()
 def gather_evidence(
     pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
