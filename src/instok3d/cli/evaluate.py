@@ -118,6 +118,7 @@ def run(
         target_cameras=target_cameras,
         model_unit=unit,
         pose_alignment_steps=0 if of_captures else steps,
+        also_aligned=steps if of_captures else 0,
         refine=refine,
         ap=ApSettings(min_instance_area=20 if bare else 0),
         baselines=baselines,
@@ -126,15 +127,14 @@ def run(
     distance = None if lpips is None else load_lpips(lpips)
     if protocol in ("capture", "capture-2view", "capture-8view"):
         runs = capture_runs(
-            data, protocol, settings, steps=steps, num_captures=scenes, model=model,
-            targets_per_scene=targets_per_scene, frame_step=frame_step, outlines=outlines,
+            data, protocol, model=model, num_captures=scenes, targets_per_scene=targets_per_scene,
+            frame_step=frame_step, outlines=outlines, unit=unit,
         )  # fmt: skip
     elif protocol in ("rooms-2view", "rooms-8view"):
         most = 3 if targets_per_scene is None else targets_per_scene
-        runs = [Run(protocol, settings, *_rooms(data, protocol, scenes, most, unit))]
+        runs = [Run(protocol, *_rooms(data, protocol, scenes, most, unit))]
     else:
-        prepared = _prepared(data, protocol, scenes, index, all_targets, split, unit)
-        runs = [Run(protocol, settings, *prepared)]
+        runs = [Run(protocol, *_prepared(data, protocol, scenes, index, all_targets, split, unit))]
     file = DEFAULT_MODEL if model is None else model
     model_name = None
     reports = []
@@ -149,8 +149,8 @@ def run(
             def on_scene(
                 scene: "ProtocolScene",
                 predictions: "Sequence[Prediction]",
+                name: str = each.protocol,
                 bar: "tqdm" = bar,
-                name: str = each.name,
             ) -> None:
                 bar.update()
                 if save is not None:
@@ -160,49 +160,33 @@ def run(
                 evaluate(
                     tokenizer,
                     asked,
-                    each.settings,
+                    settings,
                     protocol=each.protocol,
                     model_name=model_name,
                     lpips=distance,
                     on_scene=on_scene,
                 )
             )
-    _print(
-        reports,
-        json=json,
-        details=details,
-        markdown=markdown,
-        model=model,
-        both=protocol == "capture",
-    )
+    form = "json" if json else "markdown" if markdown else "table"
+    _print(protocol, reports, form=form, details=details, model=model)
 
 
 def _print(
+    protocol: Protocol,
     reports: "Sequence[EvaluationReport]",
     *,
-    model: Path | None,
-    json: bool,
+    form: Literal["json", "markdown", "table"],
     details: bool,
-    markdown: bool,
-    both: bool,
+    model: Path | None,
 ) -> None:
-    """The reports on stdout; of captures, one with aligned targets follows the one without."""
-    from instok3d.evaluation.report import as_json, as_table
+    from instok3d.evaluation.report import as_json, as_table, results_header, results_rows
 
-    plain = [
-        each for each in reports if not (each.of_captures and each.settings.pose_alignment_steps)
-    ]
-    aligned = {each.protocol: each for each in reports if each not in plain}
-    if json:
+    if form == "json":
         from instok3d.cli.info import print_json
 
-        values = {
-            each.protocol: as_json(each, details=details, aligned=aligned.get(each.protocol))
-            for each in plain
-        }
-        print_json({"protocol": "capture", **values} if both else values[plain[0].protocol])
-    elif markdown:
-        from instok3d.evaluation.report import results_header, results_rows
+        values = {each.protocol: as_json(each, details=details) for each in reports}
+        print_json(values.get(protocol, {"protocol": protocol, **values}))
+    elif form == "markdown":
         from instok3d.model.files import read_card
         from instok3d.version import current_commit, short
 
@@ -217,8 +201,7 @@ def _print(
             )
             print(rows)
     else:
-        tables = [as_table(each, aligned=aligned.get(each.protocol)) for each in plain]
-        print("\n\n".join(tables))
+        print("\n\n".join(as_table(each) for each in reports))
 
 
 def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[ProtocolScene]":

@@ -2,10 +2,11 @@
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from instok3d.data.batches import Unit
 from instok3d.evaluation.captures import (
     FRAMES_NEEDED,
     MAX_TARGETS,
@@ -18,7 +19,6 @@ from instok3d.evaluation.captures import (
 )
 from instok3d.evaluation.outlines import OWN_OUTLINES, read_outlines
 from instok3d.evaluation.protocols import ProtocolScene
-from instok3d.evaluation.run import EvaluationSettings
 from instok3d.model.files import read_card
 from instok3d.scene.reconstruct import IMAGE_SIDE
 
@@ -31,42 +31,33 @@ class Run:
     """One evaluation of a command."""
 
     protocol: str
-    settings: EvaluationSettings
     total: int
     """Scenes to look at."""
     scenes: Iterable[ProtocolScene]
-
-    @property
-    def name(self) -> str:
-        """Of its pictures."""
-        fitted = self.settings.pose_alignment_steps and self.protocol.startswith("capture-")
-        return f"{self.protocol}_aligned" if fitted else self.protocol
 
 
 def capture_runs(
     data: Path,
     protocol: Literal["capture", CaptureProtocol],
-    settings: EvaluationSettings,
     *,
-    steps: int,
-    num_captures: int | None,
     model: Path | None,
+    num_captures: int | None,
     targets_per_scene: int | None,
     frame_step: int,
     outlines: Path | None,
+    unit: Unit | None,
 ) -> list[Run]:
-    """Each protocol with the targets where the predicted cameras place them, then aligned.
+    """The captures by one protocol, or by both.
 
     Args:
         data: A capture or a folder of captures.
         protocol: One, or capture for both.
-        settings: Of the first kind.
-        steps: Of the alignment; 0 leaves the second kind out.
-        num_captures: Only the first so many; None for all.
         model: Its card says how large frames are.
+        num_captures: Only the first so many; None for all.
         targets_per_scene: See `captures.capture_choices`; None for as many as a rule.
         frame_step: See `captures.read_capture`.
         outlines: A folder; None takes those of the package.
+        unit: In which the model answers, if it learned one.
 
     Raises:
         FileNotFoundError: There is no capture or no outlines.
@@ -92,13 +83,9 @@ def capture_runs(
     runs = []
     for name in asked:
         usable = _long_enough(captures, name)
-        for each in (0, steps) if steps else (0,):
-            found = capture_scenes(
-                usable, name, targets_per_scene=most, model_unit=settings.model_unit
-            )
-            again = {"pose_alignment_steps": each, "baselines": settings.baselines and not each}
-            if usable:
-                runs.append(Run(name, replace(settings, **again), len(usable), found))
+        if usable:
+            found = capture_scenes(usable, name, targets_per_scene=most, model_unit=unit)
+            runs.append(Run(name, len(usable), found))
     if not runs:
         raise ValueError(f"no capture in {data} can be measured by {protocol}: see the warnings")
     return runs

@@ -1,7 +1,7 @@
 """What a model makes of one sample: pictures and masks at the target cameras, and its geometry."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -65,6 +65,8 @@ class Prediction:
     where no depth is known."""
     rendered_ids: RenderedIds | None = None
     """Of the context views at their predicted cameras, then of the targets; if asked for."""
+    aligned: "Prediction | None" = None
+    """The same scene with each target camera fitted to its photo; if asked for."""
 
 
 @torch.no_grad()
@@ -78,6 +80,7 @@ def predict(
     alpha_min: float = 0.0,
     refine: int = 0,
     with_ids: bool = False,
+    also_aligned: int = 0,
 ) -> Prediction:
     """Run the model on the context views of a sample and render its scene at the targets.
 
@@ -90,6 +93,7 @@ def predict(
         alpha_min: Pixels covered no more than this belong to no group.
         refine: Steps of refinement on the context photos, at the cameras of the prediction.
         with_ids: Also render the ids of the context views, for `rendered_ids`.
+        also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
 
     Raises:
         ValueError: The sample is no batch of one, or lacks true cameras or depth; or the model's
@@ -131,36 +135,39 @@ def predict(
         if (sample.context.depths > 0).any():
             scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
             by_depth = render(gaussians, place(scale), height, width, near=NEAR, far=FAR).colors
-    cameras = refined_cameras(
-        gaussians, cameras, sample.target.images[0], steps=pose_alignment_steps
-    )
     anchor_features = pi[:, :-1].contiguous()
-    rendering = render(
-        gaussians, cameras, height, width, anchor_features=anchor_features, near=NEAR, far=FAR
-    )
-    masks = _masks(rendering, alpha_min)
-    rendered_ids = None
-    if with_ids:
-        seen = render(
-            gaussians, predicted, height, width, anchor_features=anchor_features, near=NEAR,
-            far=FAR,
-        )  # fmt: skip
-        maps = (*_masks(seen, alpha_min), *masks)
-        rendered_ids = RenderedIds(
-            ids=torch.stack([torch.from_numpy(each.ids) for each in maps]),
-            depths=torch.cat([seen.depths, rendering.depths]),
-            cameras=Cameras.concatenate([predicted, cameras]),
+
+    def seen_from(cameras: Cameras) -> tuple[Rendering, tuple[PredictedMasks, ...]]:
+        rendering = render(
+            gaussians, cameras, height, width, anchor_features=anchor_features, near=NEAR, far=FAR
         )
+        return rendering, _masks(rendering, alpha_min)
+
+    contexts = seen_from(predicted) if with_ids else None
     winners = pi.argmax(dim=-1)
-    return Prediction(
-        images=rendering.colors,
-        masks=masks,
-        num_groups_used=len(winners[winners < pi.shape[-1] - 1].unique()),
-        cameras=cameras,
-        geometry=groups.geometry,
-        images_depth_scaled=by_depth,
-        rendered_ids=rendered_ids,
-    )
+
+    def fitted(steps: int) -> Prediction:
+        at = refined_cameras(gaussians, cameras, sample.target.images[0], steps=steps)
+        rendering, masks = seen_from(at)
+        rendered_ids = None
+        if contexts is not None:
+            rendered_ids = RenderedIds(
+                ids=torch.stack([torch.from_numpy(each.ids) for each in (*contexts[1], *masks)]),
+                depths=torch.cat([contexts[0].depths, rendering.depths]),
+                cameras=Cameras.concatenate([predicted, at]),
+            )
+        return Prediction(
+            images=rendering.colors,
+            masks=masks,
+            num_groups_used=len(winners[winners < pi.shape[-1] - 1].unique()),
+            cameras=at,
+            geometry=groups.geometry,
+            images_depth_scaled=by_depth,
+            rendered_ids=rendered_ids,
+        )
+
+    prediction = fitted(pose_alignment_steps)
+    return replace(prediction, aligned=fitted(also_aligned)) if also_aligned else prediction
 
 
 def _masks(rendering: Rendering, alpha_min: float) -> tuple[PredictedMasks, ...]:

@@ -26,9 +26,7 @@ RESULTS_HEADER = (
 """Head of the table that `results_rows` fills; it holds this project's own figures alone."""
 
 
-def as_json(
-    report: EvaluationReport, *, details: bool = False, aligned: EvaluationReport | None = None
-) -> dict[str, Any]:
+def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
     """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
 
     Of captures it has CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP),
@@ -38,7 +36,6 @@ def as_json(
         report: What was measured.
         details: Adds the key `details`: settings, in how many scenes targets were rendered at true
             cameras, levels, baselines, further figures, seeds of rooms or names of scenes.
-        aligned: The same captures, each target camera fitted to its photo.
     """
     figures = report.figures
     result: dict[str, Any] = {
@@ -48,8 +45,8 @@ def as_json(
         **_known_as(figures, KEYS),
     }
     if report.of_captures:
-        fitted = None if aligned is None else aligned.figures
-        result |= _capture_json(figures, fitted, aligned)
+        aligned = report.aligned
+        result |= _capture_json(figures, aligned and aligned.figures, aligned)
         result["captures"] = {
             name: {
                 **_known_as(each, KEYS),
@@ -74,15 +71,10 @@ def as_json(
     return result
 
 
-def as_table(report: EvaluationReport, *, aligned: EvaluationReport | None = None) -> str:
-    """The report for a terminal: a row for the model, each level and each baseline, and notes.
-
-    Args:
-        report: What was measured.
-        aligned: The same captures, each target camera fitted to its photo: rows below the others.
-    """
+def as_table(report: EvaluationReport) -> str:
+    """The report for a terminal: a row for the model, each level and each baseline, and notes."""
     word = "rooms" if report.of_rooms else "scenes"
-    keys = _keys(report)
+    keys, aligned = _keys(report), report.aligned
     rows = [("", word, *(key.replace("_", " ") for key in keys))]
     levels = report.levels if report.of_rooms or len(report.levels) > 1 else {}
     named = {f"all {word}": report.figures, **levels, **report.baselines}
@@ -99,10 +91,7 @@ def as_table(report: EvaluationReport, *, aligned: EvaluationReport | None = Non
         for row in rows
     ]  # fmt: skip
     head = f"{report.protocol}, geometry {report.settings.geometry}, model {report.model}"
-    said = notes(report)
-    if aligned is not None:
-        said.append(f"Aligned: {_alignment_note(aligned)}")
-    return "\n".join([head, "", *lines, "", *said])
+    return "\n".join([head, "", *lines, "", *notes(report)])
 
 
 def notes(report: EvaluationReport) -> list[str]:
@@ -133,6 +122,8 @@ def notes(report: EvaluationReport) -> list[str]:
         )
     if report.settings.pose_alignment_steps:
         lines.append(_alignment_note(report))
+    if report.aligned is not None:
+        lines.append(f"Aligned: {_alignment_note(report.aligned)}")
     if report.of_captures:
         known = figures.counts["masks"]
         lines.append(f"{known} of {figures.targets} target views have outlines to compare with.")
@@ -189,7 +180,7 @@ def results_header(report: EvaluationReport) -> str:
 def results_rows(
     report: EvaluationReport, *, command: str, commit: str, seed: int | None, machine: str
 ) -> str:
-    """Rows of docs/results.md under RESULTS_HEADER: the model, then the baselines.
+    """Rows of docs/results.md under `results_header`: the model, the baselines, aligned targets.
 
     Args:
         report: What was measured.
@@ -207,7 +198,7 @@ def results_rows(
         geometry += ", true targets"
     if report.settings.pose_alignment_steps:
         geometry += f", targets aligned in {report.settings.pose_alignment_steps} steps"
-    return "\n".join(
+    rows = "\n".join(
         "| "
         + " | ".join(
             [
@@ -226,6 +217,12 @@ def results_rows(
         + " |"
         for name, figures in named.items()
     )
+    if report.aligned is None:
+        return rows
+    aligned = results_rows(
+        report.aligned, command=command, commit=commit, seed=seed, machine=machine
+    )
+    return f"{rows}\n{aligned}"
 
 
 def _keys(report: EvaluationReport) -> Sequence[str]:

@@ -1,7 +1,7 @@
 """Measure a model, and what needs no model, on the scenes of a protocol."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from instok3d.data.batches import Unit
@@ -30,6 +30,8 @@ class EvaluationSettings:
     """In which the model answers; None where it learned no unit."""
     pose_alignment_steps: int = 0
     """Steps of test-time pose alignment against the target photo; 0 = none."""
+    also_aligned: int = 0
+    """The same for a second set of figures beside the first one; 0 = no second set."""
     refine: int = 0
     """Steps of refinement on the context photos; 0 measures the single forward pass."""
     ap: ApSettings = field(default_factory=lambda: ApSettings(min_instance_area=20))
@@ -73,6 +75,8 @@ class EvaluationReport:
     """Names; the seeds of rooms."""
     true_targets: int
     """Scenes whose targets were rendered at their true cameras."""
+    aligned: "EvaluationReport | None" = None
+    """The same scenes, each target camera fitted to its photo (`also_aligned`)."""
 
     @property
     def of_rooms(self) -> bool:
@@ -110,6 +114,7 @@ def evaluate(
         ValueError: There is no scene.
     """
     scores: list[SceneScore] = []
+    aligned_scores: list[SceneScore] = []
     true_targets = 0
     baselines: dict[str, list[SceneScore]] = {}
     for scene in scenes:
@@ -117,6 +122,9 @@ def evaluate(
         true_targets += targets == "true"
         predictions = [_predict(model, sample, targets, settings) for sample in scene.samples]
         scores.append(_score_model(scene, predictions, settings, lpips))
+        aligned = [each.aligned for each in predictions if each.aligned is not None]
+        if settings.also_aligned:
+            aligned_scores.append(_score_model(scene, aligned, settings, lpips))
         if settings.baselines:
             for name, score in _score_baselines(scene, predictions, settings, lpips).items():
                 baselines.setdefault(name, []).append(score)
@@ -124,24 +132,37 @@ def evaluate(
             on_scene(scene, predictions)
     if not scores:
         raise ValueError("evaluate needs at least one scene, got none")
-    levels = _levels(scores)
-    return EvaluationReport(
+    report = EvaluationReport(
         protocol=protocol,
         model=model_name,
         settings=settings,
         lpips_trunk=None if lpips is None else lpips.trunk,
         figures=summarize(scores),
-        levels={level: summarize([s for s in scores if s.level == level]) for level in levels},
+        levels=_by_level(scores),
         baselines={name: summarize(each) for name, each in baselines.items()},
         scenes=tuple(score.name for score in scores),
         true_targets=true_targets,
     )
+    if not aligned_scores:
+        return report
+    return replace(
+        report,
+        aligned=replace(
+            report,
+            settings=replace(settings, pose_alignment_steps=settings.also_aligned, also_aligned=0),
+            figures=summarize(aligned_scores),
+            levels=_by_level(aligned_scores),
+            baselines={},
+        ),
+    )
 
 
-def _levels(scores: Sequence[SceneScore]) -> list[str]:
-    """The levels that were measured: LEVELS in their order, others as they come."""
+def _by_level(scores: Sequence[SceneScore]) -> dict[str, Figures]:
+    """Figures of each level that was measured: LEVELS in their order, others as they come."""
     found = dict.fromkeys(score.level for score in scores if score.level is not None)
-    return sorted(found, key=lambda level: LEVELS.index(level) if level in LEVELS else len(LEVELS))
+    levels = [*(each for each in LEVELS if each in found),
+              *(each for each in found if each not in LEVELS)]  # fmt: skip
+    return {level: summarize([s for s in scores if s.level == level]) for level in levels}
 
 
 def _predict(
@@ -156,6 +177,7 @@ def _predict(
         alpha_min=settings.alpha_min,
         refine=settings.refine,
         with_ids=settings.id_agreement,
+        also_aligned=settings.also_aligned,
     )
 
 

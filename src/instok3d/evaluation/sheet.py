@@ -15,7 +15,8 @@ from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
 def write_sheet(path: Path, sample: Sample, prediction: Prediction, *, zoom: int = 1) -> None:
     """Write a PNG with a row of context photos and, below, a row for each target view.
 
-    A target's row has the photo, the render, the true ids and the predicted ids. A predicted mask
+    A target's row has the photo, the render, the true ids and the predicted ids, and the render
+    from the camera that was fitted to the photo if there is one. A predicted mask
     has the colour of the instance that it covers most of, unless a larger mask has it already;
     black belongs to nothing.
 
@@ -59,13 +60,15 @@ def _sections(sample: Sample, prediction: Prediction, *, title: str = "context")
     for target, photo in enumerate(sample.target.images[0]):
         true_ids = sample.target_instances[0, target].cpu().numpy()
         predicted = recolored(prediction.masks[target].ids, true_ids)
-        cells = [
-            color_picture(photo),
-            color_picture(prediction.images[target]),
-            id_picture(true_ids),
-            id_picture(predicted),
-        ]
-        sections.append(Section("", cells, ("target", "render", "true ids", "predicted ids")))
+        cells = {
+            "target": color_picture(photo),
+            "render": color_picture(prediction.images[target]),
+            "true ids": id_picture(true_ids),
+            "predicted ids": id_picture(predicted),
+        }
+        if prediction.aligned is not None:
+            cells["aligned render"] = color_picture(prediction.aligned.images[target])
+        sections.append(Section("", list(cells.values()), tuple(cells)))
     return sections
 
 
