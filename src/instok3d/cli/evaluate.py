@@ -29,6 +29,10 @@ Protocol = Literal[
     "capture-2view",
     "capture-8view",
 ]
+Disturbance = Literal[
+    "jpeg30", "noise8", "exposure20", "focal1.33", "focal2", "grey", "overexposed", "hard"
+]
+"""As in evaluation/disturbances.py, which needs PyTorch."""
 
 
 def run(
@@ -47,6 +51,7 @@ def run(
     split: Literal["train", "val", "test"] = "test",
     pose_alignment_steps: int | None = None,
     refine: int = 0,
+    disturb: Disturbance | None = None,
     lpips: str | None = None,
     baselines: bool = False,
     save: Path | None = None,
@@ -84,6 +89,8 @@ def run(
             captures these are figures beside the others, by 25 steps as a rule; 0 leaves them out.
         refine: Steps in which the Gaussians are optimised on the context photos first, as
             reconstruct does by default; 0 measures the paper's single forward pass.
+        disturb: Do this to the context photos first, always in the same way (docs/evaluation.md);
+            the targets stay clean.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
             it LPIPS is null.
         baselines: Also measure the nearest photo, the photo warped by depth, colour clusters.
@@ -123,6 +130,7 @@ def run(
         ap=ApSettings(min_instance_area=20 if bare else 0),
         baselines=baselines,
         id_agreement=of_captures,
+        disturb=disturb,
     )
     distance = None if lpips is None else load_lpips(lpips)
     if protocol in ("capture", "capture-2view", "capture-8view"):

@@ -116,6 +116,8 @@ def notes(report: EvaluationReport) -> list[str]:
     elif report.lpips_trunk != "vgg16":
         lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
     lines += _geometry_notes(report, word)
+    if report.settings.disturb:
+        lines.append(f"The context photos were disturbed: {report.settings.disturb}.")
     if report.settings.refine:
         lines.append(
             f"The Gaussians were refined on the context photos, {report.settings.refine} steps."
@@ -192,6 +194,8 @@ def results_rows(
     model = report.model
     if report.settings.refine:
         model += f", refined {report.settings.refine} steps"
+    if report.settings.disturb:
+        model += f", photos disturbed: {report.settings.disturb}"
     named = {model: report.figures, **report.baselines}
     geometry = report.settings.geometry
     if geometry != "given" and report.true_targets:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from instok3d.data.batches import Unit
 from instok3d.data.sample import Sample
+from instok3d.evaluation.disturbances import Disturbance, disturbed
 from instok3d.evaluation.figures import Figures, summarize
 from instok3d.evaluation.id_agreement import id_agreement
 from instok3d.evaluation.instance_ap import ApSettings
@@ -42,6 +43,8 @@ class EvaluationSettings:
     """Also measure the simple baselines."""
     id_agreement: bool = False
     """Also measure whether views agree on the objects that they show."""
+    disturb: Disturbance | None = None
+    """What is done to the context photos first; None leaves them as they are."""
 
     def __post_init__(self):
         if self.geometry == "given" and self.target_cameras == "aligned":
@@ -117,7 +120,8 @@ def evaluate(
     aligned_scores: list[SceneScore] = []
     true_targets = 0
     baselines: dict[str, list[SceneScore]] = {}
-    for scene in scenes:
+    for clean in scenes:
+        scene = disturbed(clean, settings.disturb) if settings.disturb else clean
         targets = settings.targets_of(scene)
         true_targets += targets == "true"
         predictions = [_predict(model, sample, targets, settings) for sample in scene.samples]

@@ -1,12 +1,12 @@
 """From radiance to 8-bit pictures: tone curve, and what a cheap camera adds."""
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image
 from scipy.ndimage import gaussian_filter
+
+from instok3d.data.photo_effects import jpeg_round_trip
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -40,8 +40,4 @@ class Sensor:
         sigma = self.blur_px * picture.shape[0] / 128
         x = gaussian_filter(picture.astype(np.float32), (sigma, sigma, 0))
         x += rng.standard_normal(x.shape, np.float32) * np.float32(255 * self.noise)
-        stream = io.BytesIO()
-        Image.fromarray(np.clip(x + 0.5, 0, 255).astype(np.uint8)).save(
-            stream, "JPEG", quality=self.quality
-        )
-        return np.array(Image.open(stream))
+        return jpeg_round_trip(np.clip(x + 0.5, 0, 255).astype(np.uint8), self.quality)
