@@ -2,10 +2,10 @@
 
 import warnings
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import count
 from typing import Literal
@@ -13,11 +13,13 @@ from zlib import crc32
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from instok3d.data.mirror import mirror_sample
 from instok3d.data.photometric import photometric_change
 from instok3d.data.sample import Sample, collate
 from instok3d.data.scenes import SceneSource
+from instok3d.data.sensor import SensorConfig, sensor_change
 from instok3d.data.view_sampling import (
     RE10K_WARM_UP_STEPS,
     FrameChoice,
@@ -52,6 +54,8 @@ class BatchConfig:
     sample of V views has V / 2 times as many, so that every step renders equally many."""
     photometric: bool = True
     """Change exposure, contrast and white balance scene by scene, and add noise to contexts."""
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    """After that, what cameras do to each photo; off with strength 0."""
     mirror: bool = False
     """Mirror every other sample, by chance, left to right."""
     sampling: Sampling = "rooms"
@@ -89,7 +93,7 @@ class SceneBatches:
     Args:
         source: The scenes.
         scenes: Numbers of the scenes to draw from.
-        seed: Chooses order, frames and photometric changes.
+        seed: Chooses order, frames and what light and cameras do to the photos.
         rank: This process, of world_size.
         accumulate: Parts of a step that a process takes one after the other.
     """
@@ -205,10 +209,13 @@ class SceneBatches:
             sampling=config.sampling,
             step=step,
         )
-        photometric_rng = rng if config.photometric else None
-        sample = make_sample(
-            self.source, number, choice, photometric_rng=photometric_rng, unit=config.unit
-        )
+
+        def as_photos(context: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+            if config.photometric:
+                context, target = photometric_change(rng, context, target)
+            return sensor_change(rng, config.sensor, context, target)
+
+        sample = make_sample(self.source, number, choice, change=as_photos, unit=config.unit)
         return mirror_sample(sample) if config.mirror and rng.random() < 0.5 else sample
 
 
@@ -236,7 +243,7 @@ def make_sample(
     number: int,
     choice: FrameChoice,
     *,
-    photometric_rng: np.random.Generator | None = None,
+    change: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]] | None = None,
     unit: Unit = "metre",
 ) -> Sample:
     """The chosen frames of a scene as a batch of one, cameras relative to the first context.
@@ -245,7 +252,8 @@ def make_sample(
         source: Scenes with cameras, depth and ids.
         number: Which scene.
         choice: Its context and target frames; each is read once.
-        photometric_rng: Draws a photometric change; None leaves the images as they are.
+        change: Makes others of the context and target images, "view 3 height width" in [0, 1];
+            None leaves them as they are.
         unit: Of the cameras and depths in the sample: metre leaves them as the source has them.
 
     Raises:
@@ -259,10 +267,8 @@ def make_sample(
     num_context = len(choice.context)
     images = scene.images[order].permute(0, 3, 1, 2).float() / 255
     context_images, target_images = images[:num_context], images[num_context:]
-    if photometric_rng is not None:
-        context_images, target_images = photometric_change(
-            photometric_rng, context_images, target_images
-        )
+    if change is not None:
+        context_images, target_images = change(context_images, target_images)
     # Inverted and chained in float64: a float32 inverse would cost 1e-6 m for nothing.
     world_from_cam = scene.world_from_cam[order].double()
     cam_from_world = relative_to_first(invert_rigid(world_from_cam))
@@ -280,7 +286,7 @@ def make_sample(
     intrinsics = scene.intrinsics[order].float()
     instances = scene.instances[order].long()
 
-    def views(images: torch.Tensor, part: slice) -> Views:
+    def views(images: Tensor, part: slice) -> Views:
         return Views(
             images=images.contiguous()[None],
             intrinsics=intrinsics[part][None],

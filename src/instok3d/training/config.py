@@ -13,6 +13,7 @@ from instok3d.backbones.base import BackboneConfig
 from instok3d.backbones.registry import config_named, kind_named
 from instok3d.backbones.vggt import PAPER_VGGT
 from instok3d.data.batches import BatchConfig
+from instok3d.data.sensor import SensorConfig
 from instok3d.files import write_json
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
@@ -201,6 +202,9 @@ RE10K_2VIEW = replace(SCANNET_2VIEW, batches=_RE10K_PAIRS, masks="sam2")
 Frames by C3G's rule: contexts 25 frames apart at first, later 45 to 90, one new frame between them.
 Lengths are in distances of the two contexts, and so are the bounds of the Gaussians."""
 
+_EXACT_MATCHES = SensorConfig(distortion_px=0.0)
+"""Matches are learnt from true depth and cameras, which know no distortion."""
+
 PRESETS = {
     "scannet-adapt": SCANNET_ADAPT,
     "scannet-2view": SCANNET_2VIEW,
@@ -210,7 +214,11 @@ PRESETS = {
     "nano-geometry": TrainConfig(
         stage=GeometryStageConfig(),
         batches=BatchConfig(
-            batch_size=4, views=(2, 2, 2, 2, 2, 3, 4, 8), num_targets=1, mirror=True
+            batch_size=4,
+            views=(2, 2, 2, 2, 2, 3, 4, 8),
+            num_targets=1,
+            sensor=_EXACT_MATCHES,
+            mirror=True,
         ),
         lr=6e-4,
         warmup_steps=200,
@@ -218,7 +226,13 @@ PRESETS = {
     ),
     "nano-refinement": TrainConfig(
         stage=GeometryStageConfig(trained="refinement"),
-        batches=BatchConfig(batch_size=4, views=(2, 2, 2, 4, 8, 8), num_targets=1, mirror=True),
+        batches=BatchConfig(
+            batch_size=4,
+            views=(2, 2, 2, 4, 8, 8),
+            num_targets=1,
+            sensor=_EXACT_MATCHES,
+            mirror=True,
+        ),
         steps=1_500,
         lr=6e-4,
         warmup_steps=100,

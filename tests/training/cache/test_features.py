@@ -18,6 +18,7 @@ from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometr
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.data.batches import BatchConfig, SceneBatches
 from instok3d.data.sample import Sample, collate, photos_only
+from instok3d.data.sensor import SensorConfig
 from instok3d.locking import alone_in
 from instok3d.model.files import load_model
 from instok3d.model.gaussian_head import GaussianHeadConfig
@@ -239,6 +240,10 @@ def test_a_run_does_not_go_on_with_features_of_another_backbone(cache: Path, tmp
         ({"seed": 1}, "seed: made with 0, wanted 1"),
         ({"batches": replace(CONFIG.batches, samples_per_scene=3)}, "samples_per_scene: made"),
         ({"batches": replace(CONFIG.batches, photometric=False)}, "photometric: made with True"),
+        (
+            {"batches": replace(CONFIG.batches, sensor=SensorConfig(strength=1.0))},
+            "batches.sensor: made with None, wanted",
+        ),
         ({"batches": replace(CONFIG.batches, views=(2, 8))}, r"views: made with \[2, 3\], wanted"),
         ({"batches": replace(CONFIG.batches, samples_per_scene=None)}, "set batches.samples_per"),
         ({"stage": replace(STAGE, backbone=NanoConfig(width=128))}, "stage.backbone.width: made"),
@@ -251,7 +256,9 @@ def test_other_settings_are_refused_with_both_values(cache: Path, change: dict, 
 
 
 def test_settings_that_need_less_are_taken(cache: Path):
-    fewer = replace(CONFIG.batches, views=(3,), batch_size=7)
+    # A sensor of no strength, whatever its other settings, changes no photo.
+    off = SensorConfig(blur_px=9.0)
+    fewer = replace(CONFIG.batches, views=(3,), batch_size=7, sensor=off)
     check_cache(FeatureCache(cache), replace(CONFIG, batches=fewer), ROOMS)
     assert STAGE.frozen_backbone().inputs == ("photos", "intrinsics")
     assert replace(STAGE, given_probability=1.0).frozen_backbone().inputs == ("intrinsics",)

@@ -138,4 +138,6 @@ def _batch_settings(config: TrainConfig) -> dict[str, Any]:
     """The settings that choose frames and pictures of a fixed sample."""
     values = to_json(config.batches)
     values["views"] = sorted(set(values["views"]))
+    if not config.batches.sensor.strength:
+        del values["sensor"]  # caches from before there was one serve as well
     return {name: value for name, value in values.items() if name not in ("type", "batch_size")}
