@@ -81,6 +81,14 @@ def test_json_on_stdout_is_one_object_with_the_agreed_keys(folder, capsys):
     assert result["model"].startswith("tiny.safetensors sha256:")
 
 
+def test_the_report_says_how_photos_were_disturbed(folder, capsys):
+    words = command(folder, "--scenes", "1", "--targets-per-scene", "1", "--disturb")
+    assert main([*words, "grey"]) == 0
+    assert "The context photos were disturbed: grey." in capsys.readouterr().out
+    assert main([*words, "focal2", "--markdown"]) == 0
+    assert ", photos disturbed: focal2 |" in capsys.readouterr().out
+
+
 def test_given_geometry_leaves_its_errors_null(folder, capsys):
     assert main(command(folder, "--json", "--geometry", "given", "--targets-per-scene", "1")) == 0
     result = json.loads(capsys.readouterr().out)
