@@ -1,10 +1,11 @@
 """Models on disk: one safetensors file with the weights, the sizes and the card."""
 
 import json
+import reprlib
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
@@ -13,9 +14,13 @@ from instok3d.backbones.registry import backbone_names, build_backbone, kind_nam
 from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
+from instok3d.model.file_checks import Header, check_tensors, config_of_json
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
+from instok3d.reading import UNREADABLE, naming_damage, parse_json, reason_of
 
 FORMAT = "instok3d-model-1"
+REMEDY = "fetch or export it again"
+"""What to do about a damaged file."""
 DEFAULT_MODEL = Path(__file__).parents[1] / "assets" / "default_model.safetensors"
 
 ADDED_LATER: dict[str, dict[str, Any]] = {
@@ -69,13 +74,16 @@ def load_model(path: Path | str | None = None) -> Tokenizer:
         ValueError: The file is damaged or is not a model of this version.
     """
     path = _existing(path)
-    metadata, state = _read(path)
-    sizes, config = _sizes(metadata, path)
-    model = Tokenizer(build_backbone(sizes), config)
-    try:
+    sizes, config = read_sizes(path)  # before memory for them is taken
+    with naming_damage(path, REMEDY):
+        with safe_open(path, framework="pt") as stream:
+            # Still in the type of the file: the model has float32 of its own, and copies each.
+            state = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+        for name, value in state.items():
+            if not value.isfinite().all():
+                raise ValueError(f"weight {name} is not finite")
+        model = Tokenizer(build_backbone(sizes), config)
         model.load_state_dict(state)
-    except RuntimeError as error:
-        raise ValueError(f"the weights in {path} do not fit its own sizes: {error}") from error
     return model.eval()
 
 
@@ -87,7 +95,9 @@ def read_sizes(path: Path | str | None = None) -> tuple[Any, TokenizerConfig]:
         ValueError: The file is damaged or is not a model of this version.
     """
     path = _existing(path)
-    return _sizes(_read_metadata(path), path)
+    metadata, header = _read_header(path)
+    with naming_damage(path, REMEDY):
+        return _sizes(metadata, header)
 
 
 def read_card(path: Path | str | None = None) -> dict[str, Any]:
@@ -98,7 +108,11 @@ def read_card(path: Path | str | None = None) -> dict[str, Any]:
         ValueError: The file is damaged or is not a model of this version.
     """
     path = _existing(path)
-    return json.loads(_read_metadata(path)["card"])
+    with naming_damage(path, REMEDY):
+        card = parse_json(_read_header(path)[0]["card"], f"{path}, its card", REMEDY)
+        if not isinstance(card, dict):
+            raise ValueError("its card is no JSON object")
+        return card
 
 
 def read_unit(path: Path | str | None = None) -> Unit | None:
@@ -130,64 +144,42 @@ def _existing(path: Path | str | None) -> Path:
     return path
 
 
-def _read_metadata(path: Path) -> dict[str, str]:
+def _read_header(path: Path) -> tuple[dict[str, str], Header]:
+    """What a file says of itself and of its tensors."""
     try:
         with safe_open(path, framework="pt") as stream:
             metadata = stream.metadata() or {}
+            slices = {name: stream.get_slice(name) for name in stream.keys()}  # noqa: SIM118
+            header = {name: (tuple(s.get_shape()), s.get_dtype()) for name, s in slices.items()}
     except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+        raise ValueError(f"{path} is not a whole safetensors file: {reason_of(error)}") from error
     if metadata.get("format") != FORMAT:
         raise ValueError(
-            f"{path} is not an InsTok3D model: its format is {metadata.get('format')!r}, "
-            f"wanted {FORMAT!r}"
+            f"{path} is not an InsTok3D model: its format is "
+            f"{reprlib.repr(metadata.get('format'))}, wanted {FORMAT!r}"
         )
-    return metadata
+    return metadata, header
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    metadata = _read_metadata(path)
-    with safe_open(path, framework="pt") as stream:
-        # Still in the type of the file: the model has float32 of its own, and copies each.
-        return metadata, {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
-
-
-def _sizes(metadata: Mapping[str, str], path: Path) -> tuple[Any, TokenizerConfig]:
-    kind = metadata["backbone"]
-    if kind not in (names := backbone_names()):
+def _sizes(metadata: Mapping[str, str], header: Header) -> tuple[Any, TokenizerConfig]:
+    name = metadata["backbone"]
+    if name not in (names := backbone_names()):
         raise ValueError(
-            f"{path} needs the backbone {kind!r}; there are {', '.join(names)}: install "
+            f"it needs the backbone {reprlib.repr(name)}; there are {', '.join(names)}: install "
             "the package that brings it (docs/backbones.md)"
         )
-    registered = kind_named(kind)
-    values = {**registered.added_later, **json.loads(metadata["backbone_config"])}
-    backbone = _config(registered.config, values, path)
-    return backbone, _config(TokenizerConfig, json.loads(metadata["tokenizer_config"]), path)
-
-
-def _config(config_class: type, values: Mapping[str, Any], path: Path) -> Any:
-    """The dataclass of JSON values, nested ones too; keys and fields must be the same.
-
-    A size that is missing must not become today's default: the file was made with another one,
-    which ADDED_LATER knows where this version has more sizes than the one that wrote the file.
-    """
-    values = {**ADDED_LATER.get(config_class.__name__, {}), **values}
-    known = {each.name for each in fields(config_class)}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise ValueError(
-            f"{path} has sizes that this version does not know: "
-            f"{', '.join(unknown)} of {config_class.__name__}"
+    kind = kind_named(name)
+    added_later = {**ADDED_LATER, kind.config.__name__: dict(kind.added_later)}
+    backbone, tokenizer = (
+        config_of_json(each, parse_json(metadata[key], "", REMEDY), added_later)
+        for each, key in (
+            (kind.config, "backbone_config"),
+            (TokenizerConfig, "tokenizer_config"),
         )
-    missing = sorted(known - set(values))
-    if missing:
-        raise ValueError(
-            f"{path} lacks sizes that this version needs: "
-            f"{', '.join(missing)} of {config_class.__name__}; export it again"
-        )
-    types = get_type_hints(config_class)
-    settled = {}
-    for name, value in values.items():
-        if is_dataclass(types[name]):
-            value = _config(types[name], value, path)  # pyright: ignore[reportArgumentType]
-        settled[name] = tuple(value) if isinstance(value, list) else value
-    return config_class(**settled)
+    )
+    if kind.outline is None:  # it can be built without memory
+        try:
+            check_tensors(lambda: Tokenizer(build_backbone(backbone), tokenizer), header)
+        except UNREADABLE as error:
+            raise ValueError(f"its weights do not fit its own sizes: {reason_of(error)}") from error
+    return backbone, tokenizer

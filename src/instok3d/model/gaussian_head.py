@@ -17,6 +17,10 @@ MAX_EXPANSION = 3.0
 NEIGHBOURS = 3
 
 
+MAX_LENGTH = 1e6
+"""No size of Gaussians is larger."""
+
+
 @dataclass(frozen=True)
 class GaussianHeadConfig:
     """What each anchor is decoded into. Lengths are in units of the scene's mean distance."""
@@ -48,6 +52,19 @@ class GaussianHeadConfig:
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         if self.seeding not in ("surface", "anchor"):
             raise ValueError(f"seeding must be 'surface' or 'anchor', got {self.seeding!r}")
+        for name in ("gaussians_per_anchor", "hidden_factor"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("initial_scale", "initial_scale_footprints", "scale_max"):
+            if not 0 < getattr(self, name) <= MAX_LENGTH:
+                raise ValueError(
+                    f"{name} must be above 0 and at most {MAX_LENGTH:g}, got {getattr(self, name)}"
+                )
+        for name in ("offset_bound", "offset_bound_footprints"):
+            if not 0 <= getattr(self, name) <= MAX_LENGTH:
+                raise ValueError(
+                    f"{name} must be from 0 to {MAX_LENGTH:g}, got {getattr(self, name)}"
+                )
         side = isqrt(self.gaussians_per_anchor)
         if self.seeding == "surface" and (side < 2 or side**2 != self.gaussians_per_anchor):
             raise ValueError(

@@ -7,6 +7,7 @@ known, the matches say in turn what the depth should have been.
 """
 
 from dataclasses import dataclass, replace
+from math import pi
 
 import torch
 from jaxtyping import Float
@@ -57,6 +58,18 @@ class NanoConfig(BackboneConfig):
     """Attention blocks of the refinement of depth by parallax; 0 = none of it."""
     typical_field_of_view_rad: float = 1.05
     """What an image of unknown intrinsics is taken for before the focal head corrects it."""
+
+    def __post_init__(self):
+        for name in ("width", "layers", "head_width", "match_channels"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.refinement_layers < 0:
+            raise ValueError(f"refinement_layers must be at least 0, got {self.refinement_layers}")
+        if not 0 < self.typical_field_of_view_rad < pi:
+            raise ValueError(
+                "typical_field_of_view_rad must be above 0 and below pi, got "
+                f"{self.typical_field_of_view_rad}"
+            )
 
 
 @dataclass(frozen=True)
