@@ -11,6 +11,7 @@ from safetensors.torch import load_file
 from instok3d.files import sha256_of
 from instok3d.weights.conversion import convert_checkpoint, convert_here, tensor_levels
 from instok3d.weights.writing import write_tensors
+from mutations import of_bytes, of_zip, survive
 
 
 class Evil:
@@ -138,3 +139,48 @@ def test_tensors_of_every_type_come_back(tmp_path: Path):
     with pytest.raises(ValueError, match=r"tensor c is torch\.complex64"):
         write_tensors(tmp_path / "c", {"c": torch.zeros(1, dtype=torch.complex64)})
     assert write_tensors(tmp_path / "d", {}) == sha256_of(tmp_path / "d")
+
+
+def test_a_dictionary_that_stands_in_many_places_is_found_once():
+    level: dict = {"w": torch.ones(1)}
+    for _ in range(60):  # 2**60 ways to the tensor
+        level = {"a": level, "b": level}
+    assert set(tensor_levels(level)) == {".".join("a" * 60)}
+
+
+def test_a_dictionary_in_itself_is_found_once(tmp_path: Path):
+    content: dict = {"model": {"w": torch.ones(1)}}
+    content["self"] = content["model"]["parent"] = content
+    assert set(tensor_levels(content)) == {"model"}
+    torch.save(content, tmp_path / "a.pt")
+    done = convert_checkpoint(tmp_path / "a.pt", tmp_path / "a.safetensors")
+    assert (done.level, done.left_out) == ("model", ("parent",))
+
+
+def test_dictionaries_however_deep_are_found():
+    level: dict = {"w": torch.ones(1)}
+    for _ in range(5000):
+        level = {"a": level}
+    assert len(tensor_levels(level)) == 1
+
+
+def test_a_tensor_far_larger_than_its_file_is_refused(tmp_path: Path):
+    torch.save({"w": torch.ones(1).expand(2**20, 2**20)}, tmp_path / "a.pt")
+    with pytest.raises(ValueError, match=r"a\.pt asks for 4398046511104 bytes of tensors"):
+        convert_checkpoint(tmp_path / "a.pt", tmp_path / "a.safetensors")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.pt"]
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+def test_a_damaged_checkpoint_is_converted_or_refused_in_one_line(tmp_path: Path, zipped: bool):
+    file, output = tmp_path / "a.pt", tmp_path / "a.safetensors"
+    content = {"state_dict": {"w": torch.ones(4, 4), "b": torch.arange(3)}, "step": 3}
+    torch.save(content, file, _use_new_zipfile_serialization=zipped)
+
+    def read() -> None:
+        try:
+            convert_here(file, output)
+        except ValueError as error:  # convert_checkpoint adds the name
+            raise ValueError(f"{file} {error}") from error
+
+    assert survive(file, read, of_zip if zipped else of_bytes, 120)

@@ -12,9 +12,17 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from instok3d.files import replacing
+from instok3d.reading import UNREADABLE, reason_of
+
+if TYPE_CHECKING:
+    import torch
+
+MOST_REPETITION = 64
+"""Tensors may share memory in a checkpoint, and are whole in a safetensors file: no more than so
+many times its size."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,7 @@ def convert_checkpoint(
             answer = json.loads(done.stdout.splitlines()[-1])
         except (IndexError, json.JSONDecodeError) as error:
             raise ValueError(
-                f"{checkpoint} could not be read: {done.stderr.strip()[-500:]}"
+                f"{checkpoint} could not be read: {' '.join(done.stderr.split())[-300:]}"
             ) from error
         if "refused" in answer:
             raise ValueError(f"{checkpoint} {answer['refused']}")
@@ -71,16 +79,24 @@ def convert_checkpoint(
 
 
 def tensor_levels(content: Any, above: str = "") -> dict[str, Mapping[str, Any]]:
-    """The dictionaries inside a checkpoint that hold tensors, by their keys joined by dots."""
+    """The dictionaries inside a checkpoint that hold tensors, by their keys joined by dots.
+
+    One that stands in several places has the name of the first.
+    """
     import torch
 
-    if not isinstance(content, Mapping):
-        return {}
-    found = {}
-    if any(isinstance(value, torch.Tensor) for value in content.values()):
-        found[above] = content
-    for key, value in content.items():
-        found |= tensor_levels(value, f"{above}.{key}" if above else str(key))
+    found: dict[str, Mapping[str, Any]] = {}
+    seen: set[int] = set()  # a pickle may share a dictionary, or hold one in itself
+    waiting = [(above, content)]
+    while waiting:
+        name, level = waiting.pop()
+        if not isinstance(level, Mapping) or id(level) in seen:
+            continue
+        seen.add(id(level))
+        if any(isinstance(value, torch.Tensor) for value in level.values()):
+            found[name] = level
+        inner = [(f"{name}.{key}" if name else str(key), each) for key, each in level.items()]
+        waiting += reversed(inner)
     return found
 
 
@@ -109,6 +125,7 @@ def convert_here(checkpoint: Path, output: Path, level: str | None = None) -> Co
 
     chosen = levels[level]
     tensors = {str(key): value for key, value in chosen.items() if isinstance(value, torch.Tensor)}
+    _check_bytes(tensors, checkpoint)
     sha256 = write_tensors(output, tensors)
     return Conversion(
         tensors=len(tensors),
@@ -117,6 +134,17 @@ def convert_here(checkpoint: Path, output: Path, level: str | None = None) -> Co
         level=level,
         left_out=tuple(str(key) for key in chosen if str(key) not in tensors),
     )
+
+
+def _check_bytes(tensors: Mapping[str, "torch.Tensor"], checkpoint: Path) -> None:
+    """Fail where tensors are far larger than their file: strides of 0 repeat a value for ever."""
+    wanted = sum(value.numel() * value.element_size() for value in tensors.values())
+    most = MOST_REPETITION * checkpoint.stat().st_size
+    if wanted > most:
+        raise ValueError(
+            f"asks for {wanted} bytes of tensors and has {checkpoint.stat().st_size} itself, far "
+            "too few: it is damaged, or made to fill the disk"
+        )
 
 
 def _read(checkpoint: Path) -> Any:
@@ -134,11 +162,13 @@ def _read(checkpoint: Path) -> Any:
             "is refused, it holds more than tensors and plain values (or is no checkpoint)"
             f"{_found(error)}"
         ) from error
-    except (RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
-        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # what a cut zip gives
+    except MemoryError as error:  # what a damaged length asks for
+        raise ValueError("is not a whole checkpoint, or needs more memory than there is") from error
+    except UNREADABLE as error:
+        # EINVAL is what a cut zip gives.
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
-        raise ValueError(f"is not a whole checkpoint: {reason}") from error
+        raise ValueError(f"is not a whole checkpoint: {reason_of(error)}") from error
 
 
 def _found(error: Exception) -> str:
