@@ -24,7 +24,7 @@ def test_no_metrics_give_an_empty_picture(tmp_path):
 
 def test_cut_last_line_of_the_metrics_is_left_out(tmp_path):
     path = tmp_path / "metrics.jsonl"
-    path.write_text('{"step": 1}\n{"step": 2}\n{"st')
+    path.write_text('{"kind": "train", "step": 1}\n{"kind": "train", "step": 2}\n{"kind": "tr')
     assert [line["step"] for line in read_metrics(path)] == [1, 2]
 
 

@@ -5,7 +5,7 @@ number of processes or another strategy.
 """
 
 import json
-import pickle
+import math
 import random
 import warnings
 import zipfile
@@ -22,9 +22,19 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from instok3d.files import replacing
+from instok3d.reading import (
+    UNREADABLE,
+    naming_damage,
+    number,
+    parse_json,
+    reason_of,
+    text,
+    whole_number,
+)
 from instok3d.training.distributed import ALONE, Processes, local, sharded_like, whole
 from instok3d.version import current_commit
 
+REMEDY = "remove it to go on from the one before"
 KEPT = 2
 """Checkpoints that stay: should the newest be torn, the one before it takes over."""
 
@@ -144,16 +154,35 @@ def read_checkpoint(folder: Path) -> dict[str, Any]:
     paths = sorted((folder / "checkpoints").glob("step_*.pt"), reverse=True)
     if not paths:
         raise FileNotFoundError(f"no checkpoint in {folder / 'checkpoints'}: nothing to go on from")
+    reasons = []
     for path in paths:
         try:
-            with zipfile.ZipFile(path) as archive:  # torch.load does not look at the checksums
-                if broken := archive.testzip():
-                    raise zipfile.BadZipFile(f"wrong checksum of {broken}")
-            return _upgraded(torch.load(path, map_location="cpu", mmap=True, weights_only=True))
-        except (RuntimeError, EOFError, OSError, zipfile.BadZipFile, pickle.UnpicklingError) as e:
-            reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-            warnings.warn(f"{path.name} is damaged ({reason}); trying the one before", stacklevel=2)
-    raise ValueError(f"all checkpoints in {folder / 'checkpoints'} are damaged; start the run anew")
+            return _read(path)
+        except ValueError as error:
+            reasons.append(str(error))
+            warnings.warn(f"{error}; trying the one before", stacklevel=2)
+    raise ValueError(
+        f"all checkpoints in {folder / 'checkpoints'} are damaged ({reasons[0]}); start the run "
+        "anew"
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """One checkpoint.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:  # torch.load does not look at the checksums
+            if broken := archive.testzip():
+                raise zipfile.BadZipFile(f"wrong checksum of {broken}")
+        checkpoint = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
+        checkpoint = _upgraded(checkpoint)
+        _check(checkpoint)
+    except (*UNREADABLE, MemoryError) as error:
+        raise ValueError(f"{path.name} is damaged ({reason_of(error)})") from error
+    return {**checkpoint, "path": str(path)}
 
 
 def _upgraded(checkpoint: dict[str, Any]) -> dict[str, Any]:
@@ -163,6 +192,32 @@ def _upgraded(checkpoint: dict[str, Any]) -> dict[str, Any]:
     if isinstance(checkpoint["random"], dict):
         checkpoint["random"] = [checkpoint["random"]]
     return checkpoint
+
+
+def _check(checkpoint: dict[str, Any]) -> None:
+    """Fail unless everything is there and can be."""
+    for key in ("step", "skipped", "skipped_in_a_row"):
+        whole_number(checkpoint[key])
+    if not 0 <= number(checkpoint["elapsed_s"]) < math.inf:
+        raise ValueError(f"elapsed_s is {checkpoint['elapsed_s']}")
+    for name in checkpoint["scene_names"]:
+        text(name)
+    if not isinstance(parse_json(checkpoint["config"], "its config", "start anew"), dict):
+        raise ValueError("its config is no JSON object")
+    if (size := checkpoint.get("image_size")) is not None:
+        for side in size:
+            whole_number(side, least=1)
+    for part in ("model", "average"):
+        for name, value in checkpoint[part].items():
+            if not isinstance(value, Tensor) or not value.isfinite().all():
+                raise ValueError(f"{name} in {part} is no tensor of finite numbers")
+    optimizer = checkpoint["optimizer"]
+    for values in optimizer["state"].values():
+        for name, value in values.items():
+            if isinstance(value, Tensor) and value.isnan().any():
+                raise ValueError(f"{name} of the optimizer is not a number")
+    if not isinstance(optimizer["param_groups"], list) or not checkpoint["random"]:
+        raise ValueError("it lacks groups of parameters or random states")
 
 
 def restore_weights(model: nn.Module, checkpoint: dict[str, Any]) -> None:
@@ -175,7 +230,8 @@ def restore_weights(model: nn.Module, checkpoint: dict[str, Any]) -> None:
         model.load_state_dict(checkpoint["model"])
     except RuntimeError as error:
         raise ValueError(
-            f"the run's weights do not fit the model that its settings ask for ({error}); sizes "
+            f"the run's weights in {checkpoint.get('path', 'its checkpoint')} do not fit the "
+            f"model that its settings ask for ({reason_of(error)}); sizes "
             "cannot be changed on resuming"
         ) from error
 
@@ -186,10 +242,18 @@ def restore(state: RunState, checkpoint: dict[str, Any], processes: Processes = 
     With another number of processes than before, their RNGs start anew, with a warning: dropout
     and the like then differ from those of a run that did not stop.
     """
-    state.optimizer.load_state_dict(_sharded_optimizer(state.optimizer, checkpoint["optimizer"]))
+    path = checkpoint.get("path", "the checkpoint")
+    with naming_damage(path, REMEDY):
+        saved = _sharded_optimizer(state.optimizer, checkpoint["optimizer"])
+        state.optimizer.load_state_dict(saved)
     for name, value in state.average.values.items():
         # A run that had no average until now begins it with its weights.
         saved = checkpoint["average"].get(name, checkpoint["model"][name])
+        if saved.shape != value.shape:
+            raise ValueError(
+                f"{path} is damaged (the average of {name} has the shape {tuple(saved.shape)}, "
+                f"wanted {tuple(value.shape)}); {REMEDY}"
+            )
         local(value).copy_(local(sharded_like(saved, value)))
     state.step = checkpoint["step"]
     state.elapsed_s = checkpoint["elapsed_s"]
@@ -197,7 +261,8 @@ def restore(state: RunState, checkpoint: dict[str, Any], processes: Processes = 
     state.skipped_in_a_row = checkpoint["skipped_in_a_row"]
     state.scene_names = checkpoint["scene_names"]
     if len(checkpoint["random"]) == processes.count:
-        _set_random_state(checkpoint["random"][processes.rank])
+        with naming_damage(path, REMEDY):
+            _set_random_state(checkpoint["random"][processes.rank])
     else:
         warnings.warn(
             f"the run had {len(checkpoint['random'])} processes and now has {processes.count}: "
@@ -233,9 +298,13 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     if not path.is_file():
         raise FileNotFoundError(f"no run folder and no .safetensors file at {path}")
     try:
-        return {name: tensor.float() for name, tensor in load_file(path).items()}
+        weights = {name: tensor.float() for name, tensor in load_file(path).items()}
     except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+        raise ValueError(f"{path} is not a whole safetensors file: {reason_of(error)}") from error
+    for name, value in weights.items():
+        if not value.isfinite().all():
+            raise ValueError(f"{path} has the weight {name}, which is not finite: export it again")
+    return weights
 
 
 def _random_state() -> dict[str, Any]:

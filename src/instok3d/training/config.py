@@ -1,6 +1,5 @@
 """Settings of a training run, how they are written to and read from JSON, and the presets."""
 
-import json
 import re
 import types
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from instok3d.data.sensor import SensorConfig
 from instok3d.files import write_json
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
+from instok3d.reading import naming_damage, read_json
 from instok3d.training.distributed import Strategy
 from instok3d.training.stages.adapt import AdaptStageConfig
 from instok3d.training.stages.geometry import GeometryStageConfig
@@ -287,16 +287,25 @@ def write_config(folder: Path, config: TrainConfig, **about: str) -> None:
     write_json(folder / "config.json", {"config": to_json(config), **about})
 
 
+REMEDY = "restore config.json, or start the run anew in another folder"
+"""What to do about damaged settings of a run."""
+
+
 def read_config(folder: Path) -> TrainConfig:
     """The settings of a run.
 
     Raises:
         FileNotFoundError: The folder holds no run.
+        ValueError: Its settings are damaged.
     """
     path = folder / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no run: there is no config.json in it")
-    return from_json(TrainConfig, json.loads(path.read_text())["config"])
+    with naming_damage(path, REMEDY):
+        config = from_json(TrainConfig, read_json(path, REMEDY)["config"])
+        if not isinstance(config, TrainConfig):
+            raise ValueError("it holds no settings of a run")
+        return config
 
 
 def overlay(base: Any, default: Any, wanted: Any) -> Any:

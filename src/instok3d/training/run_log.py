@@ -9,6 +9,7 @@ from pathlib import Path
 
 from instok3d.files import replacing
 from instok3d.progress import StatusLine, format_duration
+from instok3d.reading import naming_damage, text, whole_number
 
 
 class RunLog:
@@ -135,15 +136,28 @@ class RunningMeans:
 
 
 def read_metrics(path: Path) -> list[dict]:
-    """The lines of a metrics.jsonl; a last line that was cut short is left out."""
+    """The lines of a metrics.jsonl; a last line that was cut short is left out.
+
+    Raises:
+        ValueError: Another line is damaged.
+    """
     if not path.exists():
         return []
-    lines = path.read_text().splitlines()
-    result = [json.loads(line) for line in lines[:-1]]
-    try:
-        return [*result, *(json.loads(line) for line in lines[-1:])]
-    except json.JSONDecodeError:
-        return result
+    remedy = "remove that line"
+    lines = path.read_bytes().splitlines()
+    result = []
+    for place, line in enumerate(lines, start=1):
+        try:
+            with naming_damage(f"{path}, line {place},", remedy):
+                record = json.loads(line)  # figures of a run that failed may be NaN
+                text(record["kind"])
+                whole_number(record["step"])
+        except ValueError:
+            if place < len(lines):
+                raise
+            break
+        result.append(record)
+    return result
 
 
 def format_figures(figures: dict[str, float]) -> str:
