@@ -1,12 +1,15 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from capture_folders import write_capture, write_outlines
-from flat_rooms import flat_room
+from colmap_models import write_colmap
+from flat_rooms import SIZE, flat_room
 from instok3d.evaluation.captures import (
     capture_choices,
     capture_scenes,
@@ -94,6 +97,24 @@ def test_samples_are_in_metres_or_in_baselines_where_no_unit_is_known(capture, t
     assert sample.context.cam_from_world[0, 1, :3, 3].norm() == pytest.approx(1)
 
 
+def test_a_colmap_folder_is_a_capture(capture, tmp_path):
+    room = flat_room()
+    shutil.copytree(capture / "color", tmp_path / "images")
+    images = [
+        (f"{number}.png", torch.from_numpy(room.world_from_cam[number]).inverse(), 1)
+        for number in range(11)
+    ]
+    focal, half = room.intrinsics[0, 0, 0], SIZE / 2
+    cameras = {1: ("PINHOLE", SIZE, SIZE, (focal, focal, half, half))}
+    write_colmap(tmp_path / "sparse/0", cameras, images, ".bin")
+    (folder,) = find_captures(tmp_path)
+    source = read_capture(folder, side=32)
+    assert not source.metric
+    frames = source.frames(0, [3, 10])
+    np.testing.assert_array_equal(frames.images, room.images[[3, 10]])
+    np.testing.assert_allclose(frames.world_from_cam, room.world_from_cam[[3, 10]], atol=1e-6)
+
+
 def test_a_capture_that_cannot_be_read_is_left_out_by_name_beside_others(capture, tmp_path):
     broken = write_capture(tmp_path / "broken", 3)
     (broken / "color/1.png").write_bytes(b"no picture")
@@ -101,7 +122,7 @@ def test_a_capture_that_cannot_be_read_is_left_out_by_name_beside_others(capture
     with pytest.warns(UserWarning, match=r"capture broken is left out: .*1\.png"):
         assert [scene.name for scene in capture_scenes(captures, "capture-2view")] == ["room"]
     with pytest.raises(ValueError, match=r"1\.png"):
-        list(capture_scenes(captures[:1], "capture-2view"))
+        list(capture_scenes(captures, "capture-2view", strict=True))
 
 
 def test_depth_in_another_unit_than_the_cameras_is_refused(tmp_path):

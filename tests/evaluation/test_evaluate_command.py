@@ -228,6 +228,27 @@ def test_what_captures_cannot_be_asked_for_is_said(folder, captures, capsys, mor
     assert said.out == ""
 
 
+def test_what_one_protocol_cannot_use_does_not_cost_the_figures_of_the_other(
+    folder, tmp_path, capsys
+):
+    write_capture(tmp_path / "sound", 3)
+    broken = write_capture(tmp_path / "broken", 15) / "color/7.png"
+    broken.write_bytes(broken.read_bytes()[:300])
+    # Two views of two targets do not see the photo that is cut off, eight views do.
+    words = capture_command(folder, tmp_path, "--json", "--pose-alignment-steps", "0")
+    with pytest.warns(UserWarning, match=r"capture broken is left out: .*7\.png"):
+        assert main(words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"protocol", "capture-2view"}
+    assert set(result["capture-2view"]["captures"]) == {"broken", "sound"}
+    words[1] = "capture-8view"
+    with pytest.warns(UserWarning, match="have fewer than the 15 frames"):
+        assert main(words) == 2
+    assert "can be measured by capture-8view" in capsys.readouterr().err
+    assert main([*words, "--data", str(broken.parents[1])]) == 2
+    assert "7.png is damaged" in capsys.readouterr().err
+
+
 def test_outlines_are_for_captures_alone(folder, tmp_path, capsys):
     assert main(command(folder, "--outlines", str(tmp_path))) == 2
     assert "--outlines are of photos of captures, rooms-2view has" in capsys.readouterr().err

@@ -148,6 +148,8 @@ def run(
     reports = []
     for each in runs:
         asked = _checked(each.scenes, model)
+        if asked is None and of_captures:
+            continue  # each was left out with a warning; the other protocol may have some
         tokenizer = load_model(model)
         model_name = model_name or f"{file.name} sha256:{sha256_of(file)[:12]}"
         if save is not None:
@@ -167,7 +169,7 @@ def run(
             reports.append(
                 evaluate(
                     tokenizer,
-                    asked,
+                    asked or (),
                     settings,
                     protocol=each.protocol,
                     model_name=model_name,
@@ -175,6 +177,8 @@ def run(
                     on_scene=on_scene,
                 )
             )
+    if not reports:
+        raise ValueError(f"no capture in {data} can be measured by {protocol}: see the warnings")
     form = "json" if json else "markdown" if markdown else "table"
     _print(protocol, reports, form=form, details=details, model=model)
 
@@ -212,8 +216,13 @@ def _print(
         print("\n\n".join(as_table(each) for each in reports))
 
 
-def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[ProtocolScene]":
-    """The same scenes, the first of which was looked at: would the model fit in memory?"""
+def _checked(
+    asked: "Iterable[ProtocolScene]", model: Path | None
+) -> "Iterable[ProtocolScene] | None":
+    """The same scenes, the first of which was looked at: would the model fit in memory?
+
+    None if there is no scene.
+    """
     from itertools import chain, islice
 
     from instok3d.backbones.cost import Work
@@ -226,7 +235,7 @@ def _checked(asked: "Iterable[ProtocolScene]", model: Path | None) -> "Iterable[
         _, views, _, height, width = scene.samples[0].context.images.shape
         work = Work(views, height, width)
         check_memory(*read_sizes(model), work, advice="choose a protocol with fewer")
-    return chain(first, scenes)
+    return chain(first, scenes) if first else None
 
 
 def _rooms(

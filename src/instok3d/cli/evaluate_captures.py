@@ -47,7 +47,7 @@ def capture_runs(
     outlines: Path | None,
     unit: Unit | None,
 ) -> list[Run]:
-    """The captures by one protocol, or by both.
+    """The captures by one protocol, or by both; none where no capture has enough frames.
 
     Args:
         data: A capture or a folder of captures.
@@ -61,7 +61,7 @@ def capture_runs(
 
     Raises:
         FileNotFoundError: There is no capture or no outlines.
-        ValueError: No capture can be used, or a number is out of its range.
+        ValueError: The only capture cannot be used, or a number is out of its range.
     """
     most = MAX_TARGETS if targets_per_scene is None else targets_per_scene
     for name, value in (("--scenes", num_captures), ("--targets-per-scene", most),
@@ -84,10 +84,10 @@ def capture_runs(
     for name in asked:
         usable = _long_enough(captures, name)
         if usable:
-            found = capture_scenes(usable, name, targets_per_scene=most, model_unit=unit)
+            found = capture_scenes(
+                usable, name, targets_per_scene=most, model_unit=unit, strict=len(folders) == 1
+            )
             runs.append(Run(name, len(usable), found))
-    if not runs:
-        raise ValueError(f"no capture in {data} can be measured by {protocol}: see the warnings")
     return runs
 
 

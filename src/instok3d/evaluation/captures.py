@@ -209,6 +209,7 @@ def capture_scenes(
     *,
     targets_per_scene: int = MAX_TARGETS,
     model_unit: Unit | None = None,
+    strict: bool = False,
 ) -> Iterator[ProtocolScene]:
     """The captures one after the other, read when their turn comes.
 
@@ -221,10 +222,11 @@ def capture_scenes(
         protocol: Which.
         targets_per_scene: See `capture_choices`.
         model_unit: In which the model answers, if it learned one.
+        strict: Raise what is wrong with a capture instead of leaving it out.
 
     Raises:
-        ValueError: The only capture cannot be used, or targets_per_scene is below 1.
-        FileNotFoundError: A file of the only capture is not there.
+        ValueError: A capture cannot be used (strict), or targets_per_scene is below 1.
+        FileNotFoundError: A file of a capture is not there (strict).
     """
     if targets_per_scene < 1:
         raise ValueError(f"targets_per_scene must be at least 1, got {targets_per_scene}")
@@ -241,7 +243,7 @@ def capture_scenes(
                 except NoBaselineError as error:
                     warnings.warn(f"capture {capture.name}: {error}", stacklevel=2)
         except UNREADABLE as error:
-            if len(captures) == 1:
+            if strict:
                 raise
             warnings.warn(f"capture {capture.name} is left out: {error}", stacklevel=2)
             continue
