@@ -64,3 +64,37 @@ def test_the_void_takes_none_and_what_shows_nothing_stays(camera: Cameras):
     assert torch.equal(result.anchor_index, in_void.anchor_index)
     none = in_void.rows(slice(0, 0))
     assert len(reassigned(none, ASSIGNMENT, ANCHORS, camera, **VIEW).means) == 0
+
+
+def test_weights_add_up_over_the_views(camera: Cameras):
+    gaussians = blobs([[-0.5, 0, 2], [0.5, 0, 2]], [0, 1], [0.2, 0.2])
+    both = Cameras(
+        torch.cat([camera.cam_from_world, camera.cam_from_world]),
+        torch.cat([camera.intrinsics, camera.intrinsics]),
+    )
+    once = weights_by_group(gaussians, ASSIGNMENT, camera, **VIEW)
+    twice = weights_by_group(gaussians, ASSIGNMENT, both, **VIEW)
+    torch.testing.assert_close(twice, 2 * once)
+
+
+def test_one_that_shows_less_than_half_a_pixel_stays(camera: Cameras):
+    gaussians = blobs([[0.5, 0, 2], [0.5, 0, 1.9]], [1, 0], [0.3, 0.001])
+    gaussians = replace(gaussians, opacities=torch.tensor([0.95, 0.1]))
+    result = reassigned(gaussians, ASSIGNMENT, ANCHORS, camera, **VIEW)
+    assert result.anchor_index.tolist() == [1, 0]
+
+
+def test_one_between_two_others_stays_where_none_has_more_than_half(camera: Cameras):
+    """Its weight lies in the pixels of three groups."""
+    wide = blobs(
+        [[-0.5, 0, 2.5], [0.5, 0, 2.5], [0.0, 0.45, 2.5], [0.0, -0.05, 2.0]],
+        [0, 1, 3, 4], [0.28, 0.28, 0.28, 0.25],
+    )  # fmt: skip
+    wide = replace(wide, opacities=torch.tensor([0.98, 0.98, 0.98, 0.2]))
+    owners = torch.eye(6)[[0, 1, 5, 2, 3]]
+    anchors = torch.zeros(5, 3)
+    weights = weights_by_group(wide, owners, camera, **VIEW)[3]
+    assert 0.34 < float(weights.max() / weights.sum()) < 0.5
+    assert int(weights.argmax()) != 3
+    result = reassigned(wide, owners, anchors, camera, **VIEW)
+    assert result.anchor_index.tolist() == [0, 1, 3, 4]

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from instok3d.refinement.optimization import Progress, refine_gaussians, typical_distance
-from instok3d.refinement.settings import RefinementSettings
+from instok3d.refinement.settings import LearningRates, RefinementSettings
 from instok3d.render import render
 from instok3d.types import Cameras, Gaussians
 from made_scene import HEIGHT, WIDTH, made_tokens
@@ -137,3 +137,51 @@ def test_splitting_adds_gaussians_of_the_same_anchors(truth):
     assert len(result.gaussians.means) == count + count // 4
     assert set(result.gaussians.anchor_index.tolist()) == set(gaussians.anchor_index.tolist())
     assert result.psnr_after > result.psnr_before + 5
+
+
+def test_a_scene_in_other_units_is_refined_alike(truth):
+    """Steps and the pull of the centres are relative to the size of the scene."""
+    gaussians, cameras, photos = truth
+    start, unit = blurred(gaussians), 4.0
+    far_off = cameras.cam_from_world.clone()
+    far_off[:, :3, 3] *= unit
+    settings = replace(QUICK, steps=6, mean_pull=50.0)
+    plain = refine_gaussians(start, cameras, photos, settings, **PLANES).gaussians
+    scaled = refine_gaussians(
+        replace(start, means=unit * start.means, scales=unit * start.scales),
+        replace(cameras, cam_from_world=far_off), photos, settings, near=0.2, far=400.0,
+    ).gaussians  # fmt: skip
+    torch.testing.assert_close(scaled.means / unit, plain.means, atol=2e-4, rtol=0)
+    torch.testing.assert_close(scaled.scales / unit, plain.scales, atol=1e-3, rtol=1e-2)
+
+
+def test_a_mask_that_hides_nothing_changes_nothing(truth):
+    gaussians, cameras, photos = truth
+    known = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
+    settings = replace(QUICK, steps=6, mean_pull=1000.0)
+    plain = refine_gaussians(blurred(gaussians), cameras, photos, settings, **PLANES)
+    masked = refine_gaussians(blurred(gaussians), cameras, photos, settings, known=known, **PLANES)
+    torch.testing.assert_close(masked.gaussians.means, plain.gaussians.means, atol=1e-5, rtol=0)
+    assert masked.psnr_after == pytest.approx(plain.psnr_after, abs=0.05)
+
+
+def test_psnr_is_of_pictures_that_can_be_shown(truth):
+    """What is brighter than white is white."""
+    gaussians, cameras, _ = truth
+    glaring = replace(gaussians, sh=10 * gaussians.sh.abs())
+    photos = render(glaring, cameras, HEIGHT, WIDTH, **PLANES).colors
+    assert float(photos.max()) > 1.5
+    result = refine_gaussians(
+        glaring, cameras, photos.clamp(0, 1), replace(QUICK, steps=0), **PLANES
+    )
+    assert result.psnr_before == 100.0
+
+
+def test_halves_are_pulled_to_where_they_were_put(truth):
+    gaussians, cameras, photos = truth
+    quick_to_move = LearningRates(means=0.01)
+    settings = replace(QUICK, split_share=0.25, mean_pull=1e6, rates=quick_to_move)
+    result = refine_gaussians(blurred(gaussians), cameras, photos, settings, **PLANES)
+    distances = torch.cdist(result.gaussians.means, gaussians.means).min(dim=1).values
+    # Twenty halves, a tenth to half a unit away from the ten that were split.
+    assert int((distances > 0.05).sum()) >= 16

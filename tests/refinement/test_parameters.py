@@ -24,7 +24,9 @@ def test_opaque_and_clear_gaussians_stay_finite():
         torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2), torch.ones(2, 3), opacities,
         torch.zeros(2, 1, 3), torch.zeros(2, dtype=torch.long),
     )  # fmt: skip
-    back = GaussianParameters.of(rows).gaussians(rows.anchor_index)
+    parameters = GaussianParameters.of(rows)
+    assert parameters.opacity_logits.isfinite().all()
+    back = parameters.gaussians(rows.anchor_index)
     torch.testing.assert_close(back.opacities, opacities, atol=2 * OPACITY_EDGE, rtol=0)
     assert back.sh.shape == (2, 1, 3)
 

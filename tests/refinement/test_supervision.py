@@ -76,3 +76,14 @@ def test_exposure_holds_the_mean_and_finds_the_difference():
     torch.testing.assert_close(gains[0] / gains[1], torch.full((3, 1, 1), 1.44), atol=0.1, rtol=0)
     for value in (exposure.log_gains, exposure.offsets):
         assert value.detach().mean(dim=0).abs().max() < 1e-6
+
+
+def test_exposure_finds_offsets():
+    scene = torch.full((2, 3, 4, 4), 0.5) * torch.linspace(0.5, 1.5, 16).view(4, 4)
+    photos = scene + torch.tensor([0.1, -0.1]).view(2, 1, 1, 1)
+    exposure = Exposure(2, rate=1e-2, device=torch.device("cpu"))
+    for _ in range(200):
+        (exposure.applied(scene, [0, 1]) - photos).square().mean().backward()
+        exposure.step()
+    difference = (exposure.offsets[0] - exposure.offsets[1]).detach()
+    torch.testing.assert_close(difference, torch.full((3, 1, 1), 0.2), atol=0.03, rtol=0)
