@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from instok3d.backbones.cost import Activations, Outline, Work
 from instok3d.backbones.depth_anything3 import DepthAnything3Config
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.backbones.registry import build_backbone
+from instok3d.backbones.vggt import VGGTConfig
 from instok3d.errors import NotEnoughMemoryError
 from instok3d.model import available_memory, memory
 from instok3d.model.memory import (
@@ -208,3 +210,21 @@ def test_free_memory_is_the_least_of_machine_and_control_group(
 def test_this_process_has_memory():
     assert available_memory.resident_bytes() > 50e6
     assert available_memory.available_bytes() > 0
+
+
+def test_a_backbone_that_runs_first_counts_beside_the_weights_of_the_model(monkeypatch):
+    """The larger need is refused, and the count that is named fits both."""
+    first = (VGGTConfig(), Work(8, 518, 518))
+    small = (NANO[0], replace(EIGHT, height=16, width=16))
+    monkeypatch.setattr(memory, "resident_bytes", lambda: 0)
+    monkeypatch.setattr(memory, "available_bytes", lambda device: None)
+    alone = check_memory(first[0], None, first[1])
+    weights = 4 * memory.count_parameters(*NANO)[0]
+    assert check_memory(*NANO, EIGHT, first=first) == alone + weights
+    assert check_memory(*NANO, EIGHT, first=small) == check_memory(*NANO, EIGHT)
+    monkeypatch.setattr(memory, "available_bytes", lambda device: alone + weights - 1)
+    with pytest.raises(NotEnoughMemoryError, match="8 views of 518 x 518") as caught:
+        check_memory(*NANO, EIGHT, first=first)
+    fitting = int(re.search(r"(\d+) views? would fit", str(caught.value))[1])
+    work = replace(EIGHT, views=fitting)
+    check_memory(*NANO, work, first=(first[0], replace(first[1], views=fitting)))

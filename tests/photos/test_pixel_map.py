@@ -58,6 +58,18 @@ def test_projecting_and_fitting_commute(size, fit, rng):
     torch.testing.assert_close(pixel_map.to_original(fitted), pixels)
 
 
+def test_a_resized_map_shows_the_same_part_of_the_photo():
+    for fit in ("crop", "letterbox"):
+        own = fit_pixels(480, 640, 128, 128, fit=fit, exif_orientation=6)
+        larger = own.resized(504, 256)
+        assert (larger.height, larger.width, larger.exif_orientation) == (504, 256, 6)
+        assert larger.source_box == pytest.approx(own.source_box)
+        points = torch.tensor([[100.0, 30.0], [320.5, 240.5]])
+        expected = own.to_model(points) * torch.tensor([2.0, 504 / 128])
+        torch.testing.assert_close(larger.to_model(points), expected)
+        assert larger.resized(128, 128).source_box == pytest.approx(own.source_box)
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_upright_pixels_are_where_pillow_puts_them(orientation):
     # Every stored pixel carries its own number; its centre must land on the same number.

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -67,6 +68,11 @@ class DepthAnything3Config(BackboneConfig):
 
     size: Literal["small", "base", "tiny"] = "small"
     """34.3 M or 135.4 M parameters; "tiny" is for tests."""
+
+    @property
+    def image_side(self) -> int:
+        """As its authors run it."""
+        return 56 if self.size == "tiny" else 504
 
 
 class DepthAnything3Backbone(GeometryBackbone):
@@ -145,6 +151,11 @@ def load_depth_anything3_weights(
             f"{path} does not hold Depth Anything 3 {backbone.config.size}: {error}"
         ) from error
     return backbone.eval()
+
+
+def is_installed() -> bool:
+    """Whether the package is here, without importing it."""
+    return find_spec("depth_anything_3") is not None
 
 
 def is_published(state: Mapping[str, Tensor]) -> bool:

@@ -57,6 +57,7 @@ def describe(scene: "Scene") -> str:
         f"({owned} of them of objects)",
         f"world: {scene.frame}, {axes(scene)}; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
+        *geometry_line(scene),
         *(refinement_line(each) for each in made.refinements),
         *(f"note: {line}" for line in scene.warnings),
     ]
@@ -69,6 +70,13 @@ def describe(scene: "Scene") -> str:
         numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {item.best_view.view:9}"
         lines.append(f"{name:12} {numbers}  {size}")
     return "\n".join(lines)
+
+
+def geometry_line(scene: "Scene") -> list[str]:
+    """Where cameras and depth come from; nothing where the scene does not say."""
+    made = scene.provenance
+    weights = f" ({made.geometry_sha256[:12]})" if made.geometry_sha256 else ""
+    return [f"cameras and depth: {made.geometry}{weights}"] if made.geometry else []
 
 
 def refinement_line(done: "RefinementRecord") -> str:

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -16,6 +16,7 @@ def run(
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     cameras: Path | None = None,
+    geometry: Literal["nano", "da3-small", "da3-base", "vggt-1b", "given", "auto"] = "nano",
     allow_outside: bool = False,
     model: Path | None = None,
     refine: int | None = None,
@@ -35,6 +36,9 @@ def run(
         output: The scene folder to write, such as room.itk.
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json.
+        geometry: Where cameras and depth come from: the model's own backbone (nano), another
+            network (`instok3d models pull da3-small` fetches its weights), --cameras alone
+            (given), or the best of these that is on this machine (auto).
         allow_outside: Open photos and depth that the camera file names outside of its folder.
         model: A model file instead of the default model.
         refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the
@@ -52,9 +56,9 @@ def run(
         raise ValueError("no photos were named: give a folder, files, a pattern or a video")
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
-        allow_outside=allow_outside, model=model, refine=refine, keep_interrupted=keep_interrupted,
-        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
-        timings=timings,
+        geometry=geometry, allow_outside=allow_outside, model=model, refine=refine,
+        keep_interrupted=keep_interrupted, max_views=max_views, seed=seed, device=device,
+        overwrite=overwrite, json=json, timings=timings,
     )  # fmt: skip
 
 
@@ -63,6 +67,7 @@ def make_scene(
     output: Path,
     *,
     cameras: Path | None = None,
+    geometry: str = "nano",
     allow_outside: bool = False,
     model: Path | None = None,
     refine: int | None = None,
@@ -91,8 +96,8 @@ def make_scene(
         check_target(output, overwrite=overwrite)
         with plain_warnings(), asked_to_stop(when=keep_interrupted) as stop:
             scene = reconstruct(
-                photos, cameras=cameras, allow_outside=allow_outside, model=model, seed=seed,
-                refine=DEFAULT_STEPS if refine is None else refine,
+                photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside,
+                model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
                 max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
         with plain_warnings():

@@ -73,18 +73,20 @@ def largest_view_count(
     backbone: BackboneConfig, tokenizer: TokenizerConfig | None, work: Work, limit_bytes: int
 ) -> int:
     """Most views of a scene with which this work is predicted to fit; 0 if not even one does."""
+    return _most_views(
+        lambda views: predict_peak_bytes(backbone, tokenizer, replace(work, views=views)),
+        limit_bytes,
+    )
 
-    def fits(views: int) -> bool:
-        asked = Work(**{**vars(work), "views": views})
-        return predict_peak_bytes(backbone, tokenizer, asked) <= limit_bytes
 
+def _most_views(needed: Callable[[int], int], limit_bytes: int) -> int:
     low, high = 0, 1
-    while high <= MOST_VIEWS and fits(high):
+    while high <= MOST_VIEWS and needed(high) <= limit_bytes:
         low, high = high, 2 * high
     high = min(high, MOST_VIEWS + 1)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
+        low, high = (middle, high) if needed(middle) <= limit_bytes else (low, middle)
     return low
 
 
@@ -95,6 +97,7 @@ def check_memory(
     *,
     device: str | torch.device = "cpu",
     advice: str = "take fewer views",
+    first: tuple[BackboneConfig, Work] | None = None,
 ) -> int:
     """Refuse work that is predicted not to fit; gives the prediction, bytes.
 
@@ -106,19 +109,35 @@ def check_memory(
         work: What is to be done.
         device: Where.
         advice: What the user can do about the number of views.
+        first: Another backbone that runs before, beside the weights of the model, and is gone when
+            the model runs; it sees the same number of views.
 
     Raises:
         NotEnoughMemoryError: Says what is needed, what is there and how many views would fit.
     """
-    needed = predict_peak_bytes(backbone, tokenizer, work)
+
+    def of_model(views: int) -> int:
+        return predict_peak_bytes(backbone, tokenizer, replace(work, views=views))
+
+    def of_first(views: int) -> int:
+        if first is None:
+            return 0
+        weights = FLOAT * count_parameters(backbone, tokenizer)[0]
+        return weights + predict_peak_bytes(first[0], None, replace(first[1], views=views))
+
+    def of_both(views: int) -> int:
+        return max(of_model(views), of_first(views))
+
+    needed = of_both(work.views)
+    asked = first[1] if first is not None and of_first(work.views) == needed else work
 
     def remedy(limit: int) -> str:
-        fitting = largest_view_count(backbone, tokenizer, work, limit)
+        fitting = _most_views(of_both, limit)
         if not fitting:
             return "not even one view would fit: use a machine with more"
         return f"{fitting} view{'s' if fitting > 1 else ''} would fit: {advice}"
 
-    what = f"{work.views} views of {work.height} x {work.width} pixels"
+    what = f"{work.views} views of {asked.height} x {asked.width} pixels"
     if work.batch > 1:
         what += f" of {work.batch} scenes at once"
     refuse_beyond(needed, what=what, device=device, remedy=remedy)

@@ -1,6 +1,6 @@
 """Where a pixel that the model sees lies in the photo as it was taken, and back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -69,6 +69,15 @@ class PixelMap:
             offset_x=-self.offset_x / self.scale_x,
             offset_y=-self.offset_y / self.scale_y,
         )
+
+    def resized(self, height: int, width: int) -> "PixelMap":
+        """The map to an image of another size that shows the same part of the photo."""
+        by_x, by_y = width / self.width, height / self.height
+        return replace(
+            self, height=height, width=width,
+            scale_x=self.scale_x * by_x, scale_y=self.scale_y * by_y,
+            offset_x=self.offset_x * by_x, offset_y=self.offset_y * by_y,
+        )  # fmt: skip
 
     @property
     def source_box(self) -> tuple[float, float, float, float]:

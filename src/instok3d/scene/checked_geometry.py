@@ -4,12 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.backbones.nano.backbone import ComparedPhotos, NanoBackbone
 from instok3d.backbones.nano.common_points import contrast_share, find_common_points
 from instok3d.photos.loading import PhotoSet
 from instok3d.scene.camera_check import camera_notes
+from instok3d.scene.geometry_source import (
+    GeometrySource,
+    own_name,
+    supplied_geometry,
+    unsure_patches,
+)
 from instok3d.scene.odd_views import choose_matching_views
 from instok3d.types import Geometry
 
@@ -34,10 +42,17 @@ class CheckedGeometry:
     """On the device of the backbone."""
     notes: list[str]
     """Warnings about photos or cameras, one sentence each."""
+    source: str
+    """Where cameras and depth come from: the name of a backbone, or "given"."""
+    unsure_patches: Bool[Tensor, " patch"] | None = None
+    """Of all views, on the CPU: where a source is unsure of its depth. None without a source."""
 
 
 def checked_geometry(
-    backbone: GeometryBackbone, photos: PhotoSet, device: str | torch.device
+    backbone: GeometryBackbone,
+    photos: PhotoSet,
+    device: str | torch.device,
+    source: GeometrySource | None = None,
 ) -> CheckedGeometry:
     """Geometry of the photos that overlap with others; the rest is left out with a note.
 
@@ -49,12 +64,19 @@ def checked_geometry(
         backbone: Predicts the geometry.
         photos: At least one.
         device: Where the backbone is.
+        source: Another backbone, whose cameras and depth the first one takes as given.
     """
-    if not isinstance(backbone, NanoBackbone):
-        return CheckedGeometry(photos, backbone(photos.views.to(device)), [])
-    checked = check_photos(backbone, photos, device)
-    geometry = backbone(checked.photos.views.to(device), checked.compared)
-    return CheckedGeometry(checked.photos, geometry, checked.notes)
+    posed = photos.views.cam_from_world is not None
+    name, notes, compared = "given" if posed else own_name(backbone), [], ()
+    if isinstance(backbone, NanoBackbone):
+        checked = check_photos(backbone, photos, device)
+        photos, notes, compared = checked.photos, checked.notes, (checked.compared,)
+    if source is None:
+        geometry = backbone(photos.views.to(device), *compared)
+        return CheckedGeometry(photos, geometry, notes, name)
+    supplied = supplied_geometry(source, photos, device)
+    unsure = unsure_patches(supplied.unsure, backbone.patch_size).cpu()
+    return CheckedGeometry(photos, backbone(supplied.views), notes, source.name, unsure)
 
 
 def check_photos(

@@ -176,6 +176,8 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
             model=text(made["model"]),
             model_sha256=text(made["model_sha256"]),
             seed=whole_number(made["seed"]),
+            geometry=text(made.get("geometry", "")),
+            geometry_sha256=text(made.get("geometry_sha256", "")),
             refinements=tuple(_refinement(each) for each in made.get("refinements", ())),
         ),
     }

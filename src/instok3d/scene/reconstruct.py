@@ -8,15 +8,18 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from instok3d.backbones.base import GeometryBackbone
 from instok3d.backbones.cost import Work
 from instok3d.files import sha256_of
 from instok3d.model.files import DEFAULT_MODEL, load_model, read_card, read_sizes
 from instok3d.model.memory import check_memory
 from instok3d.model.tokenizer import Tokenizer
+from instok3d.model.views.unseeded import without_patches
 from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
 from instok3d.scene.checked_geometry import checked_geometry
 from instok3d.scene.from_tokens import bare_scene, with_objects
+from instok3d.scene.geometry_source import find_source
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
 from instok3d.scene.scene import Scene
@@ -38,6 +41,7 @@ def reconstruct(
     photos: str | Path | Sequence[str | Path],
     *,
     cameras: str | Path | None = None,
+    geometry: str | GeometryBackbone = "nano",
     allow_outside: bool = False,
     model: str | Path | Tokenizer | None = None,
     seed: int = 0,
@@ -63,6 +67,11 @@ def reconstruct(
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json. The scene is then in their world and units; otherwise in the frame of
             the first photo's camera and in arbitrary units.
+        geometry: Where cameras and depth come from. "nano": the model's own backbone (nano in the
+            default model), which keeps what is given. "vggt-1b", "da3-base", "da3-small": that
+            network, whose answer the model takes as if it were given. "given": as "nano", but
+            without cameras refused. "auto": what is given, else the best network whose weights are
+            on this machine; a note says which. Or a backbone.
         allow_outside: Let the camera file name photos and depth outside of its folder.
         model: A model file, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
@@ -75,7 +84,8 @@ def reconstruct(
         stop: Asked before every step of refinement; True ends it there.
 
     Raises:
-        FileNotFoundError: Something named is not there; MissingWeightsError for the model.
+        FileNotFoundError: Something named is not there; MissingWeightsError for the model or the
+            geometry.
         PermissionError: Something may not be read.
         ValueError: No photo, a damaged one, or cameras that do not fit; says which. Or the
             device or the seed cannot be used.
@@ -86,6 +96,7 @@ def reconstruct(
     device = _checked_device(device)
     if not 0 <= seed < 2**63:
         raise ValueError(f"seed must lie in 0..2^63 - 1, got {seed}")
+    source, choice_notes = find_source(geometry, posed=cameras is not None)
     begin("photos")
     in_memory = isinstance(model, Tokenizer)
     path = None if model is None or in_memory else Path(model)
@@ -98,17 +109,22 @@ def reconstruct(
     begin("model")
     if not in_memory:
         work = Work(photo_set.views.images.shape[1], side, side)
-        check_memory(*read_sizes(path), work, device=device, advice="give max_views (--max-views)")
+        check_memory(
+            *read_sizes(path), work, device=device, advice="give max_views (--max-views)",
+            first=None if source is None else source.work(work.views),
+        )  # fmt: skip
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         begin("geometry")
-        checked = checked_geometry(tokenizer.backbone, photo_set, device)
+        checked = checked_geometry(tokenizer.backbone, photo_set, device, source)
         begin("tokens")
         photo_set = checked.photos
         tokens = tokenizer(photo_set.views.to(device), checked.geometry).to("cpu")
-    notes = [TRAINED_ON_ROOMS] if model is None else []
+        if checked.unsure_patches is not None:
+            tokens = without_patches(tokens, checked.unsure_patches)
+    notes = choice_notes + ([TRAINED_ON_ROOMS] if model is None else [])
     for note in [*notes, *checked.notes]:
         warnings.warn(note, stacklevel=2)
     file = path or DEFAULT_MODEL
@@ -122,6 +138,8 @@ def reconstruct(
             model="in memory" if in_memory else str(card.get("name", file.stem)),
             model_sha256="" if in_memory else sha256_of(file),
             seed=seed,
+            geometry=checked.source,
+            geometry_sha256="" if source is None else source.sha256,
         ),
         cam_from_world=None if given is None else given[0],
         units=photo_set.units,

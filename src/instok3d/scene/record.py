@@ -71,6 +71,11 @@ class Provenance:
     """Name of the model."""
     model_sha256: str
     seed: int
+    geometry: str = ""
+    """Where cameras and depth come from: the name of a backbone, "given" for given cameras, or
+    empty in scenes of older programs, which did not say."""
+    geometry_sha256: str = ""
+    """Of its weights; empty where they are the model's own or were in memory."""
     refinements: tuple[RefinementRecord, ...] = ()
     """In the order they were done; after one the tokens no longer give the Gaussians."""
 

@@ -161,7 +161,7 @@ def _at_size(
     """The photos at another size, and the scene's cameras for it."""
     images, intrinsics = [], []
     for path, view, own in zip(paths, scene.views, scene.cameras.intrinsics, strict=True):
-        larger = _enlarged(view.pixel_map, height, width)
+        larger = view.pixel_map.resized(height, width)
         images.append(
             decode_photo(path, height=height, width=width, fit=lambda _, m=larger: m).image
         )
@@ -169,16 +169,6 @@ def _at_size(
         intrinsics.append(larger.intrinsics_to_model(original))
     cameras = Cameras(scene.cameras.cam_from_world, torch.stack(intrinsics).float())
     return torch.stack(images), cameras
-
-
-def _enlarged(own: PixelMap, height: int, width: int) -> PixelMap:
-    """The map to a picture of another size that shows the same part of the photo."""
-    by_x, by_y = width / own.width, height / own.height
-    return replace(
-        own, height=height, width=width,
-        scale_x=own.scale_x * by_x, scale_y=own.scale_y * by_y,
-        offset_x=own.offset_x * by_x, offset_y=own.offset_y * by_y,
-    )  # fmt: skip
 
 
 def _read_masks(
@@ -224,7 +214,7 @@ def _read_mask(
                 f"{file} is {found[0]} x {found[1]}, its photo {wanted[0]} x {wanted[1]}; a mask "
                 "has the shape of its photo"
             )
-        return replace(_enlarged(photo, height, width), exif_orientation=mask.exif_orientation)
+        return replace(photo.resized(height, width), exif_orientation=mask.exif_orientation)
 
     mask = decode_photo(file, height=height, width=width, fit=placed)
     return mask.image.mean(dim=0) > 0.5
