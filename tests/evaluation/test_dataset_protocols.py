@@ -26,6 +26,7 @@ from instok3d.evaluation.dataset_protocols import (
 from instok3d.evaluation.report import KEYS, as_json, as_table
 from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evaluate
 from instok3d.types import TokenGroups, Views
+from mutations import of_json, survive
 
 
 def prepared(
@@ -261,3 +262,17 @@ def test_the_real_index_of_re10k_is_read(shared: Path):
     index = read_re10k_index(shared / "data" / "re10k" / "evaluation_index_re10k.json")
     assert len(index) == 7194
     assert sum(entry is not None for entry in index.values()) == 5601
+
+
+def test_a_damaged_index_is_read_or_refused_in_one_line(tmp_path):
+    path = tmp_path / "index.json"
+    path.write_text(json.dumps({"a": {"context": [1, 5], "target": [2, 3]}, "b": None}))
+    assert survive(path, lambda: read_re10k_index(path), of_json, 120)
+
+
+@pytest.mark.parametrize("frames", ["12", [], [-1, 3], [1.5], [True], [2**70], ["1"], None, {}])
+def test_frames_that_cannot_be_are_refused(tmp_path, frames):
+    path = tmp_path / "index.json"
+    path.write_text(json.dumps({"a": {"context": frames, "target": [2, 3]}}))
+    with pytest.raises(ValueError, match=r"index\.json is no evaluation index"):
+        read_re10k_index(path)

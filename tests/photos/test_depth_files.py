@@ -5,6 +5,7 @@ from PIL import Image
 
 from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
 from instok3d.photos.pixel_map import fit_pixels
+from mutations import of_bytes, survive
 
 TRANSPOSE = {1: None, 3: Image.Transpose.ROTATE_180, 6: Image.Transpose.ROTATE_270,
              8: Image.Transpose.ROTATE_90}  # fmt: skip
@@ -147,3 +148,27 @@ def test_large_arrays_are_refused_too(tmp_path):
     np.save(tmp_path / "d.npy", np.ones((64, 64)))
     with pytest.raises(ValueError, match=r"d\.npy has 0\.0 megapixels, more than"):
         read_depth(tmp_path / "d.npy", scale=1.0, max_pixels=1000)
+
+
+def test_a_damaged_array_is_read_or_refused_in_one_line(tmp_path):
+    path = tmp_path / "d.npy"
+    np.save(path, np.ones((8, 6)))
+    assert survive(path, lambda: read_depth(path, scale=1.0), of_bytes, 120)
+
+
+def test_an_array_shorter_or_longer_than_its_header_says_is_refused(tmp_path):
+    path = tmp_path / "d.npy"
+    np.save(path, np.ones((8, 6)))
+    whole = path.read_bytes()
+    for data in (whole[:-8], whole + bytes(8)):
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=r"d\.npy is not a .* promises 384 bytes, \d+ are"):
+            read_depth(path, scale=1.0)
+
+
+def test_an_array_too_large_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "d.npy"
+    with path.open("wb") as stream:
+        stream.truncate(2**40)  # takes no place on the disk
+    with pytest.raises(ValueError, match=r"d\.npy has 1099511627776 bytes, more than 64 megapix"):
+        read_depth(path, scale=1.0)

@@ -1,6 +1,6 @@
 """The protocols on prepared data sets: which scenes, which frames are shown and asked for."""
 
-import json
+import reprlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +15,7 @@ from instok3d.data.view_sampling import (
 )
 from instok3d.datasets.prepared import PreparedScenes
 from instok3d.evaluation.protocols import ProtocolScene
+from instok3d.reading import read_json, reason_of, whole_number
 
 DatasetProtocol = Literal["scannet-2view", "scannet-8view", "re10k-2view", "mipnerf360-2view"]
 
@@ -138,13 +139,26 @@ def read_re10k_index(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FileNotFoundError(f"there is no evaluation index {path}")
     try:
-        index = json.loads(path.read_text())
+        index = read_json(path, "download it again")
         for entry in index.values():
             if entry is not None:
-                FrameChoice(*(tuple(map(int, entry[part])) for part in ("context", "target")))
+                FrameChoice(*(_frames(entry[part]) for part in ("context", "target")))
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(f"{path} is no evaluation index of RealEstate10K: {error}") from error
+        raise ValueError(
+            f"{path} is no evaluation index of RealEstate10K: {reason_of(error)}"
+        ) from error
     return index
+
+
+def _frames(value: Any) -> tuple[int, ...]:
+    """The numbers of an entry.
+
+    Raises:
+        ValueError: They are none.
+    """
+    if not isinstance(value, list) or not value:
+        raise ValueError(f"{reprlib.repr(value)} is no list of frames")
+    return tuple(whole_number(each) for each in value)
 
 
 def _eight_view_choices(scenes: PreparedScenes, number: int) -> list[FrameChoice]:

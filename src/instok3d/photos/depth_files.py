@@ -13,6 +13,7 @@ from instok3d.geometry.checks import MAX_DISTANCE
 from instok3d.photos.camera_fit import same_shape
 from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.pixel_map import PixelMap, upright_from_stored
+from instok3d.reading import parse_npy
 
 MAX_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded."""
@@ -38,7 +39,7 @@ def read_depth(
         raise FileNotFoundError(f"there is no depth file {path}")
     try:
         is_array = path.suffix.lower() == ".npy"
-        values = _read_array(path) if is_array else _read_picture(path, max_pixels)
+        values = _read_array(path, max_pixels) if is_array else _read_picture(path, max_pixels)
     except UnidentifiedImageError as error:
         raise ValueError(f"{path} is not a depth picture in a known format") from error
     except Image.DecompressionBombError as error:
@@ -138,11 +139,14 @@ def _check_pixels(path: Path, height: int, width: int, max_pixels: int) -> None:
         )
 
 
-def _read_array(path: Path) -> np.ndarray:
+def _read_array(path: Path, max_pixels: int) -> np.ndarray:
+    size, most = path.stat().st_size, 2**16 + 16 * max_pixels  # a header, the widest numbers
+    if size > most:
+        raise ValueError(f"{path} has {size} bytes, more than {max_pixels / 1e6:g} megapixels take")
     try:
-        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+        return parse_npy(path.read_bytes(), "it", "save it again with numpy.save")
     except ValueError as error:
-        raise ValueError(f"{path} is not a .npy array of numbers ({error})") from error
+        raise ValueError(f"{path} is not a .npy array of numbers: {error}") from error
 
 
 def _read_picture(path: Path, max_pixels: int) -> np.ndarray:

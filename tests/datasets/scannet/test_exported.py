@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from instok3d.datasets.prepared import DroppedFrame, PreparedFrame
-from instok3d.datasets.scannet.exported import FileTree, lsm_frames, processed_frames
+from instok3d.datasets.scannet.exported import MOST_BYTES, FileTree, lsm_frames, processed_frames
 from scannet_files import as_tar, depth_mm, huge_png, id_map, write_lsm, write_processed
 
 SCAN = "scene0000_00"
@@ -138,3 +138,21 @@ def test_a_cut_tar_is_refused(tmp_path: Path):
 def test_a_file_that_is_not_in_the_tree_is_named(tmp_path: Path):
     with pytest.raises(FileNotFoundError, match=r"a/b\.png"):
         FileTree(tmp_path, "a").read("b.png")
+
+
+@pytest.mark.parametrize(("size", "is_refused"), [(MOST_BYTES + 1, 1), (2**40, 1), (8, 0)])
+def test_a_file_too_large_for_memory_is_refused_by_its_header(
+    tmp_path: Path, size: int, is_refused: int
+):
+    info, path = tarfile.TarInfo("a/depth.png"), tmp_path / "a.tar"
+    info.size = size
+    header = info.tobuf(tarfile.GNU_FORMAT)
+    with path.open("wb") as stream:
+        stream.write(header)
+        stream.truncate(len(header) + -(-size // 512) * 512 + 1024)  # takes no place on the disk
+    tree = FileTree(path)
+    if is_refused:
+        with pytest.raises(ValueError, match=rf"a\.tar: a/depth\.png has {size} bytes, far too"):
+            tree.read("a/depth.png")
+    else:
+        assert tree.read("a/depth.png") == bytes(size)
