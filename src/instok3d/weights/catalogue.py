@@ -85,7 +85,7 @@ def _depth_anything(size: str, size_bytes: int, revision: str, sha256: str) -> W
     return WeightsEntry(
         name=f"da3-{size}",
         use="geometry backbone without a non-commercial clause, through the package "
-        "depth-anything-3",
+        f"depth-anything-3; reconstruct --geometry da3-{size}",
         source=HubFiles(f"depth-anything/DA3-{size.upper()}", revision),
         file="model.safetensors",
         size_bytes=size_bytes,
@@ -129,7 +129,7 @@ CATALOGUE: tuple[WeightsEntry, ...] = (
     ),
     WeightsEntry(
         name="vggt-1b",
-        use="geometry backbone of the paper (Sec. 3.1)",
+        use="geometry backbone of the paper (Sec. 3.1); reconstruct --geometry vggt-1b",
         source=HubFiles("facebook/VGGT-1B", "860abec7937da0a4c03c41d3c269c366e82abdf9"),
         file="model.safetensors",
         size_bytes=5_026_367_224,
