@@ -31,9 +31,9 @@ def two_views(
         points_a[..., :2] / points_a[..., 2:],
         points_b[..., :2] / points_b[..., 2:],
     )
-    trust = torch.ones(1, 400)
-    a = MatchedPoints(spoil(points_a), seen_in_b, spoil(points_b), trust)
-    return b_from_a, a, MatchedPoints(spoil(points_b), seen_in_a, spoil(points_a), trust)
+    confidence = torch.ones(1, 400)
+    a = MatchedPoints(spoil(points_a), seen_in_b, spoil(points_b), confidence)
+    return b_from_a, a, MatchedPoints(spoil(points_b), seen_in_a, spoil(points_a), confidence)
 
 
 def test_exact_matches_give_the_exact_camera(rng):
@@ -59,7 +59,7 @@ def test_a_third_of_wrong_matches_is_outvoted(rng):
 
 def test_matches_that_nobody_trusts_give_a_finite_camera(rng):
     _, a, b = two_views(rng, depth_error=0.0)
-    silenced = (replace(way, trust=torch.zeros_like(way.trust)) for way in (a, b))
+    silenced = (replace(way, confidence=torch.zeros_like(way.confidence)) for way in (a, b))
     assert register_pair(*silenced).isfinite().all()
 
 

@@ -40,7 +40,7 @@ def _projection_jacobian(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
 
 @dataclass(frozen=True)
 class MatchedPoints:
-    """Points of one camera and where another one sees them: one direction of a pair."""
+    """Points of one camera and their matches in another: one direction of a pair."""
 
     points: Float[Tensor, "batch point 3"]
     """In the frame of their own camera."""
@@ -48,14 +48,14 @@ class MatchedPoints:
     """x/z, y/z of the match of each in the other camera's frame."""
     matched: Float[Tensor, "batch point 3"]
     """The other camera's surface point at that place, in the other camera's frame."""
-    trust: Float[Tensor, "batch point"]
-    """Weight of each match, >= 0."""
+    confidence: Float[Tensor, "batch point"]
+    """Confidence of each match, used as its weight, >= 0."""
 
 
 def register_pair(
     a: MatchedPoints, b: MatchedPoints, *, iterations: int = 8, inlier_radius: float = 0.02
 ) -> Float[Tensor, "batch 4 4"]:
-    """b_from_a: the rigid transform under which both cameras see each other's points in place.
+    """b_from_a: the rigid transform under which each camera's points project onto their matches.
 
     It starts from the weighted Procrustes fit of points to matched points, which needs the
     depth of both cameras, and then minimises the robust (Cauchy) distance between the
@@ -71,7 +71,7 @@ def register_pair(
     with torch.no_grad():
         source = torch.cat([a.points, b.matched], dim=1)
         target = torch.cat([a.matched, b.points], dim=1)
-        weights = torch.cat([a.trust, b.trust], dim=1)
+        weights = torch.cat([a.confidence, b.confidence], dim=1)
         robust = weights
         b_from_a = rigid(*weighted_procrustes(source, target, robust))
         for _ in range(4):
@@ -126,7 +126,7 @@ def _equations_one_way(
     front = seen[..., 2] > 0.05
     safe = torch.where(front[..., None], seen, torch.ones_like(seen))
     residual = safe[..., :2] / safe[..., 2:] - way.rays
-    robust = way.trust * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
+    robust = way.confidence * front / (1 + (residual.square().sum(-1) / inlier_radius**2))
     jacobian = _projection_jacobian(safe) @ motion
     flat = (jacobian * robust[..., None, None]).flatten(1, 2)
     return flat.mT @ jacobian.flatten(1, 2), (flat.mT @ residual.flatten(1)[..., None])

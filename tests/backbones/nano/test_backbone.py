@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig, RawGeometry
-from instok3d.backbones.nano.bundle import SolveSettings
+from instok3d.backbones.nano.bundle_problem import SolveSettings
 from instok3d.backbones.nano.matching import find_peaks
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PhotoViews
@@ -92,7 +92,7 @@ def test_descriptors_that_agree_only_along_a_shift_give_that_shift(backbone, dis
     expected[0, 3] = -4 / 32 * distance
     found = solved.cam_from_first[0, 1]
     torch.testing.assert_close(found, expected, atol=2e-2 * distance, rtol=0)
-    assert solved.deeper.abs().max() < (0.05 if free else 1e-3)
+    assert solved.log_depth_correction.abs().max() < (0.05 if free else 1e-3)
 
 
 @pytest.mark.parametrize(("views", "count"), [(1, 0), (2, 1), (4, 6), (6, 11)])
@@ -128,13 +128,13 @@ def test_peak_lies_between_its_cells_and_ignores_far_ones():
     # Their centres lie at 4 * 2 + 2 and 4 * 3 + 2 pixels.
     torch.testing.assert_close(peak.pixels, torch.tensor([[[12.0, 2.0]]]), atol=4e-3, rtol=0)
     torch.testing.assert_close(peak.centers, torch.tensor([[2.0, 2.0]]))
-    torch.testing.assert_close(peak.trust, torch.tensor([[0.6001]]))
+    torch.testing.assert_close(peak.confidence, torch.tensor([[0.6001]]))
 
 
 def test_window_at_a_corner_stays_inside():
     peak = find_peaks(torch.zeros(1, 4, 4), torch.full((1, 4), 4.0).log(), columns=2)
     # All four cells of the 2x2 image are in every window, none counted twice.
-    torch.testing.assert_close(peak.trust, torch.ones(1, 4))
+    torch.testing.assert_close(peak.confidence, torch.ones(1, 4))
 
 
 def test_match_probabilities_leave_room_for_not_seen(backbone, rng):

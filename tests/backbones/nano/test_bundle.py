@@ -4,17 +4,13 @@ from dataclasses import fields, replace
 
 import pytest
 import torch
-from torch.nn import functional
 
 from instok3d.backbones.nano import bundle
-from instok3d.backbones.nano.bundle import (
-    BundleNoise,
-    Sightings,
-    SolveSettings,
-    adjust_bundle,
-    coarse_grid,
-    node_weights,
-)
+from instok3d.backbones.nano.bundle import adjust_bundle
+from instok3d.backbones.nano.bundle_equations import NormalEquations, normal_equations
+from instok3d.backbones.nano.bundle_errors import point_errors
+from instok3d.backbones.nano.bundle_problem import BundleNoise, Observations, SolveSettings
+from instok3d.backbones.nano.depth_grid import node_weights
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.geometry.rotations import angle_between_rad
@@ -31,28 +27,28 @@ def cameras_on_a_path(count: int) -> torch.Tensor:
     return rigid_from_twist(steps)
 
 
-def sight(
+def observe(
     rng: torch.Generator,
     cam_from_first: torch.Tensor,
     pairs: list[tuple[int, int]],
     log_error: torch.Tensor,
-) -> Sightings:
-    """Exact rays of points at depths 2 to 3, both ways; known depths wrong by the nodes' errors.
+) -> Observations:
+    """Exact rays of points at depths 2 to 3, in both directions; depths have the nodes' errors.
 
     log_error [view, node] is added to log depth, by the node weights.
     """
     rows = []
     for here, there in [*pairs, *((b, a) for a, b in pairs)]:
-        places = torch.rand(POINTS, 2, generator=rng)
+        positions = torch.rand(POINTS, 2, generator=rng)
         depth = 2 + torch.rand(POINTS, 1, generator=rng)
-        points = torch.cat([places - 0.5, torch.ones(POINTS, 1)], dim=-1) * depth
+        points = torch.cat([positions - 0.5, torch.ones(POINTS, 1)], dim=-1) * depth
         there_from_here = cam_from_first[there] @ invert_rigid(cam_from_first[here])
         seen = transform_points(there_from_here, points)
         rays = seen[:, :2] / seen[:, 2:]
-        places_there = rays + 0.5
-        wrong_here = (node_weights(places, GRID) @ log_error[here]).exp()
-        wrong_there = (node_weights(places_there, GRID) @ log_error[there]).exp()
-        inside = ((places_there > 0) & (places_there < 1)).all(-1)
+        positions_there = rays + 0.5
+        wrong_here = (node_weights(positions, GRID) @ log_error[here]).exp()
+        wrong_there = (node_weights(positions_there, GRID) @ log_error[there]).exp()
+        inside = ((positions_there > 0) & (positions_there < 1)).all(-1)
         rows.append(
             (
                 torch.tensor(0),
@@ -63,11 +59,11 @@ def sight(
                 PRECISION.expand(POINTS, 2, 2),
                 seen[:, 2] * wrong_there,
                 inside.float(),
-                places,
-                places_there,
+                positions,
+                positions_there,
             )
         )
-    return Sightings(*(torch.stack(each) for each in zip(*rows, strict=True)))
+    return Observations(*(torch.stack(each) for each in zip(*rows, strict=True)))
 
 
 def free(count: int, *, focal: bool = False) -> SolveSettings:
@@ -79,29 +75,12 @@ def turn_error_deg(found: torch.Tensor, true: torch.Tensor) -> float:
     return float(torch.rad2deg(angle_between_rad(found[0, :, :3, :3], true[:, :3, :3])).max())
 
 
-def test_node_weights_are_bilinear_interpolation():
-    nodes = torch.eye(6).view(6, 1, 2, 3)
-    expected = functional.interpolate(nodes, size=(8, 12), mode="bilinear", align_corners=False)
-    y, x = torch.meshgrid(torch.arange(8) + 0.5, torch.arange(12) + 0.5, indexing="ij")
-    places = torch.stack([x / 12, y / 8], dim=-1)
-    weights = node_weights(places, (2, 3))
-    torch.testing.assert_close(weights, expected[:, 0].permute(1, 2, 0))
-    torch.testing.assert_close(weights.sum(-1), torch.ones(8, 12))
-
-
-@pytest.mark.parametrize(
-    ("height", "width", "grid"), [(128, 128, (8, 8)), (96, 128, (6, 8)), (8, 256, (1, 8))]
-)
-def test_grid_has_square_cells_and_at_least_one(height, width, grid):
-    assert coarse_grid(height, width) == grid
-
-
 def test_exact_matches_bring_wrong_cameras_back_and_leave_the_depth(rng):
     true = cameras_on_a_path(3)
-    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
+    observations = observe(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
     start = rigid_from_twist(0.03 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes, _ = adjust_bundle(sightings, start[None], free(3), GRID, iterations=12)
+    cameras, changes, _ = adjust_bundle(observations, start[None], free(3), GRID, iterations=12)
     torch.testing.assert_close(cameras[0], true, atol=2e-3, rtol=0)
     torch.testing.assert_close(changes, torch.zeros(1, 3, 16), atol=5e-3, rtol=0)
 
@@ -110,17 +89,19 @@ def test_any_number_of_threads_gives_the_same_bits(rng):
     """Of so many pairs and nodes that threads could share out what adds them up."""
     true = cameras_on_a_path(5)
     pairs = [(a, b) for a in range(5) for b in range(a)]
-    sightings = sight(rng, true, pairs, torch.zeros(5, 16))
+    observations = observe(rng, true, pairs, torch.zeros(5, 16))
     # Both ways of a pair one behind the other, so that both threads add to the same blocks.
     order = torch.arange(2 * len(pairs)).view(2, -1).T.flatten()
-    sightings = Sightings(*(getattr(sightings, field.name)[order] for field in fields(sightings)))
+    observations = Observations(
+        *(getattr(observations, field.name)[order] for field in fields(observations))
+    )
     start = rigid_from_twist(0.03 * torch.randn(5, 6, generator=rng)) @ true
     start[0] = true[0]
     threads, found = torch.get_num_threads(), []
     try:
         for count in (2, 2, 1):
             torch.set_num_threads(count)
-            found.append(adjust_bundle(sightings, start[None], free(5), (8, 8)))
+            found.append(adjust_bundle(observations, start[None], free(5), (8, 8)))
     finally:
         torch.set_num_threads(threads)
     for again in found[1:]:
@@ -132,10 +113,10 @@ def test_wrong_depth_is_found_together_with_the_cameras(rng):
     # Each view has an error of its own; what is common to all is the length of a unit.
     error = 0.1 * torch.randn(3, 16, generator=rng)
     error = error - error.mean()
-    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], error)
+    observations = observe(rng, true, [(0, 1), (1, 2), (0, 2)], error)
     start = rigid_from_twist(0.02 * torch.randn(3, 6, generator=rng)) @ true
     start[0] = true[0]
-    cameras, changes, _ = adjust_bundle(sightings, start[None], free(3), GRID)
+    cameras, changes, _ = adjust_bundle(observations, start[None], free(3), GRID)
     left = error + changes[0]
     left = left - left.mean()
     assert left.std() < 0.4 * error.std()
@@ -146,9 +127,9 @@ def test_known_depth_stays(rng):
     true = cameras_on_a_path(2)
     error = torch.zeros(2, 16)
     error[1] = 0.1 * torch.randn(16, generator=rng)
-    sightings = sight(rng, true, [(0, 1)], error)
+    observations = observe(rng, true, [(0, 1)], error)
     _, changes, _ = adjust_bundle(
-        sightings, true[None], SolveSettings(torch.tensor([[0.0, 1.0]])), GRID
+        observations, true[None], SolveSettings(torch.tensor([[0.0, 1.0]])), GRID
     )
     assert changes[0, 0].abs().max() < 1e-3
     assert changes[0, 1].abs().max() > 0.03
@@ -156,23 +137,23 @@ def test_known_depth_stays(rng):
 
 def test_a_pair_that_contradicts_the_others_changes_nothing(rng):
     true = cameras_on_a_path(4)
-    sightings = sight(rng, true, [(0, 1), (1, 2), (2, 3), (0, 3)], torch.zeros(4, 16))
-    false = (sightings.here - sightings.there).abs() == 3
-    rays = torch.where(false[:, None, None], sightings.rays + 0.4, sightings.rays)
+    observations = observe(rng, true, [(0, 1), (1, 2), (2, 3), (0, 3)], torch.zeros(4, 16))
+    false = (observations.here - observations.there).abs() == 3
+    rays = torch.where(false[:, None, None], observations.rays + 0.4, observations.rays)
     start = (rigid_from_twist(0.01 * torch.randn(4, 6, generator=rng)) @ true)[None]
     start[0, 0] = true[0]
     everything = free(4)
-    with_it, *_ = adjust_bundle(replace(sightings, rays=rays), start, everything, GRID)
-    kept = {name: value[~false] for name, value in vars(sightings).items()}
-    without, *_ = adjust_bundle(Sightings(**kept), start, everything, GRID)
+    with_it, *_ = adjust_bundle(replace(observations, rays=rays), start, everything, GRID)
+    kept = {name: value[~false] for name, value in vars(observations).items()}
+    without, *_ = adjust_bundle(Observations(**kept), start, everything, GRID)
     torch.testing.assert_close(with_it, without, atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("trust", [0.0, 0.4])
-def test_matches_that_nobody_trusts_change_nothing(rng, trust):
+@pytest.mark.parametrize("confidence", [0.0, 0.4])
+def test_matches_of_low_confidence_change_nothing(rng, confidence):
     true = cameras_on_a_path(2)
-    sightings = sight(rng, true, [(0, 1)], torch.ones(2, 16))
-    unsure = replace(sightings, trust=torch.full_like(sightings.trust, trust))
+    observations = observe(rng, true, [(0, 1)], torch.ones(2, 16))
+    unsure = replace(observations, confidence=torch.full_like(observations.confidence, confidence))
     cameras, changes, _ = adjust_bundle(unsure, true[None], free(2), GRID)
     torch.testing.assert_close(cameras[0], true, atol=1e-5, rtol=0)
     assert changes.abs().max() < 1e-6
@@ -181,15 +162,15 @@ def test_matches_that_nobody_trusts_change_nothing(rng, trust):
 def test_points_behind_the_other_camera_are_left_out(rng):
     turned_away = torch.eye(4).repeat(2, 1, 1)
     turned_away[1, 0, 0] = turned_away[1, 2, 2] = -1
-    sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
-    cameras, changes, _ = adjust_bundle(sightings, turned_away[None], free(2), GRID)
+    observations = observe(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    cameras, changes, _ = adjust_bundle(observations, turned_away[None], free(2), GRID)
     torch.testing.assert_close(cameras[0], turned_away, atol=1e-5, rtol=0)
     assert changes.isfinite().all()
 
 
 def test_without_another_view_everything_stays(rng):
-    nothing = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
-    nothing = Sightings(**{name: value[:0] for name, value in vars(nothing).items()})
+    nothing = observe(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    nothing = Observations(**{name: value[:0] for name, value in vars(nothing).items()})
     for count in (1, 3):
         start = cameras_on_a_path(count)[None]
         cameras, changes, _ = adjust_bundle(nothing, start, free(count), GRID)
@@ -201,7 +182,7 @@ def test_without_another_view_everything_stays(rng):
 def test_a_ray_counts_as_far_as_it_is_precise(rng):
     # Rays that are wrong by 0.05 up or down, but known across alone: as if nothing were wrong.
     true = cameras_on_a_path(2)
-    exact = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    exact = observe(rng, true, [(0, 1)], torch.zeros(2, 16))
     sideways = torch.tensor([[1 / 0.006**2, 0.0], [0.0, 1e-2]]).expand_as(exact.precision)
     wrong = torch.stack([torch.zeros(2, POINTS), 0.05 * torch.ones(2, POINTS)], dim=-1)
     start = true[None]
@@ -215,23 +196,23 @@ def test_a_ray_counts_as_far_as_it_is_precise(rng):
 
 def test_fine_depth_error_loosens_a_ray_along_its_parallax_alone(rng):
     # By hand, for one point: covariance = 1 / precision + fine^2 slope slope^T.
-    sightings = sight(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
-    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).expand_as(sightings.precision)
-    sightings = replace(sightings, precision=mixed)
-    noise = BundleNoise(fine_depth=0.05, shared=1.0, outlier=1e6)
+    observations = observe(rng, cameras_on_a_path(2), [(0, 1)], torch.zeros(2, 16))
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).expand_as(observations.precision)
+    observations = replace(observations, precision=mixed)
+    noise = BundleNoise(fine_depth=0.05, independence=1.0, outlier=1e6)
     there_from_here = cameras_on_a_path(2)[[1, 0]] @ invert_rigid(cameras_on_a_path(2)[[0, 1]])
     nothing = torch.zeros(2, POINTS)
     known = torch.zeros(2)
-    errors = bundle._point_errors(sightings, there_from_here, nothing, nothing, known, noise)
-    plain = bundle._point_errors(
-        replace(sightings, precision=torch.eye(2).expand_as(mixed)),
+    errors = point_errors(observations, there_from_here, nothing, nothing, known, noise)
+    plain = point_errors(
+        replace(observations, precision=torch.eye(2).expand_as(mixed)),
         there_from_here, nothing, nothing, known, replace(noise, fine_depth=0.0),
     )  # fmt: skip
     slope = plain.by_depth_here[..., :2]
     covariance = mixed.inverse() + 0.05**2 * slope[..., :, None] * slope[..., None, :]
     rows, plain_rows = errors.by_twist[..., :2, :], plain.by_twist[..., :2, :]
     expected = plain_rows.mT @ covariance.inverse() @ plain_rows
-    seen = sightings.trust > 0
+    seen = observations.confidence > 0
     torch.testing.assert_close((rows.mT @ rows)[seen], expected[seen], rtol=1e-3, atol=1.0)
 
 
@@ -240,29 +221,31 @@ def test_gradient_is_that_of_the_robust_errors(rng):
     # is that of share * outlier^2 / 2 * log(1 + (error / outlier)^2).
     noise = BundleNoise(fine_depth=0.0)
     true = cameras_on_a_path(2)
-    found = sight(rng, true, [(0, 1)], 0.1 * torch.randn(2, 16, generator=rng))
+    found = observe(rng, true, [(0, 1)], 0.1 * torch.randn(2, 16, generator=rng))
     doubled = {n: v.double() if v.is_floating_point() else v for n, v in vars(found).items()}
     mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]]).double().expand(2, POINTS, 2, 2)
-    sightings = Sightings(**{**doubled, "precision": mixed})
+    observations = Observations(**{**doubled, "precision": mixed})
     start = (rigid_from_twist(0.05 * torch.randn(2, 6, generator=rng)) @ true).double()
     nodes = 0.1 * torch.randn(1, 2, 16, generator=rng).double()
-    here, there = (node_weights(p, GRID) for p in (sightings.places_here, sightings.places_there))
-    longer = torch.tensor([0.07]).double()
-    equations = bundle._normal_equations(sightings, start[None], nodes, longer, here, there, noise)
+    here, there = (
+        node_weights(p, GRID) for p in (observations.positions_here, observations.positions_there)
+    )
+    log_focal = torch.tensor([0.07]).double()
+    equations = normal_equations(observations, start[None], nodes, log_focal, here, there, noise)
 
     twist = torch.zeros(2, 6, dtype=torch.double, requires_grad=True)
-    moved_nodes, focal = nodes.clone().requires_grad_(), longer.clone().requires_grad_()
+    moved_nodes, focal = nodes.clone().requires_grad_(), log_focal.clone().requires_grad_()
     cameras = rigid_from_twist(twist) @ start
     cost = torch.zeros((), dtype=torch.double)
     for row, (a, b) in enumerate([(0, 1), (1, 0)]):
-        points = sightings.points[row] * torch.cat([(-focal).exp().expand(2), torch.ones(1)])
+        points = observations.points[row] * torch.cat([(-focal).exp().expand(2), torch.ones(1)])
         points = points * (here[row] @ moved_nodes[0, a]).exp()[:, None]
         seen = transform_points(cameras[b] @ invert_rigid(cameras[a]), points)
-        off = focal.exp() * seen[:, :2] / seen[:, 2:] - sightings.rays[row]
+        off = focal.exp() * seen[:, :2] / seen[:, 2:] - observations.rays[row]
         ray = ((off @ mixed[0, 0]) * off).sum(-1)
-        log_depth = sightings.depths[row].log() + there[row] @ moved_nodes[0, b]
+        log_depth = observations.depths[row].log() + there[row] @ moved_nodes[0, b]
         depth = ((seen[:, 2].log() - log_depth) / noise.mutual_depth).square()
-        share = noise.shared * sightings.trust[row]
+        share = noise.independence * observations.confidence[row]
         for error in (ray, depth):
             cost = cost + (share * noise.outlier**2 / 2 * (error / noise.outlier**2).log1p()).sum()
     by_twist, by_nodes, by_focal = torch.autograd.grad(cost, (twist, moved_nodes, focal))
@@ -277,9 +260,11 @@ def test_a_wrong_focal_length_is_found_where_it_is_free(rng):
     # that is found; short paths do not tell all.
     true = cameras_on_a_path(4)
     pairs = [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)]
-    sightings = sight(rng, true, pairs, torch.zeros(4, 16))
+    observations = observe(rng, true, pairs, torch.zeros(4, 16))
     taken = torch.tensor([1.1, 1.1, 1.0])
-    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+    wrong = replace(
+        observations, points=observations.points * taken, rays=observations.rays * taken[:2]
+    )
     start = true[None]
     cameras, _, log_focal = adjust_bundle(wrong, start, free(4, focal=True), GRID, iterations=20)
     torch.testing.assert_close(log_focal, torch.tensor([1.1]).log(), atol=0.03, rtol=0)
@@ -293,30 +278,32 @@ def test_pairs_agree_with_the_focal_length_that_was_solved_for(rng):
     # not come out where they are seen. With nearly parallel cameras they would.
     true = cameras_on_a_path(2)
     true[1] = rigid_from_twist(torch.tensor([-1.5, 0.0, 0.5, 0.0, 0.6, 0.0])) @ true[0]
-    sightings = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
+    observations = observe(rng, true, [(0, 1)], torch.zeros(2, 16))
     taken = torch.tensor([2.5, 2.5, 1.0])
-    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
-    solved = bundle._agreed_trust(wrong, true[None], torch.tensor([2.5]).log(), 0.15)
+    wrong = replace(
+        observations, points=observations.points * taken, rays=observations.rays * taken[:2]
+    )
+    solved = bundle._agreement_weights(wrong, true[None], torch.tensor([2.5]).log(), 0.15)
     torch.testing.assert_close(
-        solved, bundle._agreed_trust(sightings, true[None], torch.zeros(1), 0.15)
+        solved, bundle._agreement_weights(observations, true[None], torch.zeros(1), 0.15)
     )
     assert solved.max() > 0.9
-    assert bundle._agreed_trust(wrong, true[None], torch.zeros(1), 0.15).max() == 0
+    assert bundle._agreement_weights(wrong, true[None], torch.zeros(1), 0.15).max() == 0
 
 
 def test_a_right_focal_length_stays(rng):
     true = cameras_on_a_path(3)
-    sightings = sight(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
-    *_, log_focal = adjust_bundle(sightings, true[None], free(3, focal=True), GRID)
+    observations = observe(rng, true, [(0, 1), (1, 2), (0, 2)], torch.zeros(3, 16))
+    *_, log_focal = adjust_bundle(observations, true[None], free(3, focal=True), GRID)
     assert log_focal.abs().item() < 1e-3
 
 
 def test_a_focal_length_that_nothing_speaks_for_goes_back_to_the_guess_by_hand(rng):
-    # Without a trusted match only the prior is left, whose Gauss-Newton step is -log_focal; a step
-    # is cut at 0.1. From 0.25: 0.15, 0.05, 0.
+    # Without a confident match only the prior is left, whose Gauss-Newton step is -log_focal. Steps
+    # are clamped to 0.1. From 0.25: 0.15, 0.05, 0.
     true = cameras_on_a_path(2)
-    sightings = sight(rng, true, [(0, 1)], torch.zeros(2, 16))
-    unsure = replace(sightings, trust=torch.zeros_like(sightings.trust))
+    observations = observe(rng, true, [(0, 1)], torch.zeros(2, 16))
+    unsure = replace(observations, confidence=torch.zeros_like(observations.confidence))
     for iterations, expected in ((1, 0.15), (2, 0.05), (3, 0.0)):
         *_, found = adjust_bundle(
             unsure, true[None], free(2, focal=True), GRID,
@@ -327,9 +314,11 @@ def test_a_focal_length_that_nothing_speaks_for_goes_back_to_the_guess_by_hand(r
 
 def test_a_focal_length_moves_as_far_as_its_prior_lets_it(rng):
     true = cameras_on_a_path(4)
-    sightings = sight(rng, true, [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)], torch.zeros(4, 16))
+    observations = observe(rng, true, [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)], torch.zeros(4, 16))
     taken = torch.tensor([1.05, 1.05, 1.0])
-    wrong = replace(sightings, points=sightings.points * taken, rays=sightings.rays * taken[:2])
+    wrong = replace(
+        observations, points=observations.points * taken, rays=observations.rays * taken[:2]
+    )
 
     def found(deviation: float) -> float:
         settings = SolveSettings(torch.ones(1, 4), True, BundleNoise(focal=deviation))
@@ -348,7 +337,7 @@ def test_a_step_is_damped_by_a_ten_thousandth_of_the_twists_diagonal_by_hand():
     hessian[0, 1, 1, 0, 0] = 4
     gradient = torch.zeros(1, 2, 7)
     gradient[0, 1, 0] = 2
-    equations = bundle._Equations(
+    equations = NormalEquations(
         hessian, gradient, torch.tensor([3.0]), torch.tensor([-6.0]), torch.zeros(1, 2, 7)
     )
     step, focal = bundle._solve(equations, focal_is_free=True)

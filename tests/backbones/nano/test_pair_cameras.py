@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from instok3d.backbones.nano.bundle import SolveSettings
+from instok3d.backbones.nano.bundle_problem import SolveSettings
 from instok3d.backbones.nano.matching import PEAK_ERROR_PX, Matches, cell_centers, join_matches
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews
@@ -35,7 +35,7 @@ def depth_of_wall(cam_from_world: Tensor, pixels: Tensor) -> Tensor:
 
 
 def matches(here: Tensor, there: Tensor) -> Matches:
-    """Of every cell, exact; not trusted where it leaves the other picture."""
+    """Of every cell, exact; of no confidence where it leaves the other image."""
     centers = cell_centers(SIZE // 4, SIZE // 4, like=here)
     rays = torch.cat([centers, torch.ones_like(centers[:, :1])], -1) @ INTRINSICS.inverse().mT
     points = rays * depth_of_wall(here, centers)[:, None]
@@ -56,7 +56,7 @@ def wrong_pair(first: int, second: int, rng: torch.Generator) -> PairMatches:
     found = pair(first, second)
     for one in (found.of_a, found.of_b):
         one.pixels.copy_(SIZE * torch.rand(one.pixels.shape, generator=rng))
-        one.trust.fill_(0.95)
+        one.confidence.fill_(0.95)
     return found
 
 

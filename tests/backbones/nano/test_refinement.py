@@ -19,13 +19,13 @@ TINY = NanoConfig(width=64, layers=1, match_channels=16, refinement_layers=1)
 def one_match(
     depth: float,
     ray: tuple[float, float],
-    trust: float = 1.0,
+    confidence: float = 1.0,
     precision: tuple[float, float] = (1.0, 1.0),
 ) -> MatchedCells:
     """A cell straight ahead at some depth, seen by the other camera along a ray."""
     point = torch.tensor([[[0.0, 0.0, depth]]])
     known = torch.tensor(precision).diag()[None, None]
-    return MatchedCells(point, torch.tensor([[ray]]), point, torch.tensor([[trust]]), known)
+    return MatchedCells(point, torch.tensor([[ray]]), point, torch.tensor([[confidence]]), known)
 
 
 def stepped_aside(distance: float) -> torch.Tensor:
@@ -37,10 +37,12 @@ def stepped_aside(distance: float) -> torch.Tensor:
 def test_parallax_of_one_match_by_hand():
     # The other camera stands 0.5 to the right. At depth 2 the point is at x/z = -0.25 there, and
     # d(x/z) / d(log depth) = 0.25. The match lies at -0.20: 0.05 / 0.25 = 0.2 deeper in the log.
-    residual, weight, miss = measure_parallax(one_match(2.0, (-0.2, 0.0), 0.8), stepped_aside(0.5))
+    residual, weight, unexplained = measure_parallax(
+        one_match(2.0, (-0.2, 0.0), 0.8), stepped_aside(0.5)
+    )
     torch.testing.assert_close(residual, torch.tensor([[0.2]]))
     torch.testing.assert_close(weight, torch.tensor([[0.8 * 0.25**2]]))
-    torch.testing.assert_close(miss, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(unexplained, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
 
 
 def test_a_match_that_is_known_across_the_parallax_alone_says_nothing_of_depth():
@@ -53,9 +55,9 @@ def test_a_match_that_is_known_across_the_parallax_alone_says_nothing_of_depth()
 
 
 def test_what_lies_across_the_parallax_is_a_miss_and_no_depth():
-    residual, _, miss = measure_parallax(one_match(2.0, (-0.25, 0.1)), stepped_aside(0.5))
+    residual, _, unexplained = measure_parallax(one_match(2.0, (-0.25, 0.1)), stepped_aside(0.5))
     torch.testing.assert_close(residual, torch.tensor([[0.0]]), atol=1e-6, rtol=0)
-    torch.testing.assert_close(miss, torch.tensor([[0.1]]))
+    torch.testing.assert_close(unexplained, torch.tensor([[0.1]]))
 
 
 def test_cameras_in_one_place_and_points_behind_say_nothing():
@@ -63,10 +65,10 @@ def test_cameras_in_one_place_and_points_behind_say_nothing():
     assert weight.item() == 0
     behind = torch.eye(4)[None].clone()
     behind[0, :3, 3] = torch.tensor([-0.5, 0, -3.0])
-    residual, weight, miss = measure_parallax(one_match(2.0, (0.1, 0.0)), behind)
+    residual, weight, unexplained = measure_parallax(one_match(2.0, (0.1, 0.0)), behind)
     assert weight.item() == 0
     assert residual.isfinite().all()
-    assert miss.isfinite().all()
+    assert unexplained.isfinite().all()
 
 
 def same_place(rows: int, columns: int) -> Matches:
@@ -156,7 +158,7 @@ def test_without_a_network_depth_still_moves_with_the_cameras(rng):
     with torch.no_grad():
         backbone.log_sharpness.fill_(4.0)
     matches = backbone.find_matches(raw)
-    assert matches[0].of_a.trust.min() > 0.6
+    assert matches[0].of_a.confidence.min() > 0.6
     refined = backbone.refine(raw, views, backbone.intrinsics(views, raw), matches)
     moved = refined.log_depths - raw.log_depths
     # Two views with one and the same picture: their depths come together.

@@ -8,7 +8,7 @@ import torch
 
 from instok3d.backbones.nano import alignment, pair_cameras
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
-from instok3d.backbones.nano.bundle import SolveSettings
+from instok3d.backbones.nano.bundle_problem import SolveSettings
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews
 from instok3d.backbones.nano.threads import all_threads, one_thread
@@ -75,8 +75,8 @@ def matched_views() -> tuple[list[PairMatches], PhotoViews]:
         matches = backbone.find_matches(raw)
     intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), 64, 64).expand(1, 3, 3, 3)
     for pair in matches:
-        pair.of_a.trust.fill_(0.9)
-        pair.of_b.trust.fill_(0.9)
+        pair.of_a.confidence.fill_(0.9)
+        pair.of_b.confidence.fill_(0.9)
     return matches, PhotoViews(images, raw.log_depths.exp(), intrinsics)
 
 

@@ -1,9 +1,9 @@
-"""Matches moved to where the photos themselves agree.
+"""Photometric alignment of matches (Lucas and Kanade, 1981).
 
-Descriptors find the place to about a pixel, wherever it is; the photos say it to a tenth of one,
-but only near by. Once cameras and depth are roughly known, each match is searched for from where
-they put it (Lucas and Kanade, 1981), and how far the photos pin it down, which across an edge is
-well and along it not at all, goes with it as its precision.
+Descriptors locate a match to about a pixel anywhere in the image. The photos locate it to a tenth
+of a pixel, but only from a good initial value. Once cameras and depth are roughly known, each match
+is aligned from the position that they predict. Its precision comes from the image gradients: high
+across an edge, low along it.
 """
 
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.backbones.nano.bundle import NEAREST, TRUST_MIN
+from instok3d.backbones.nano.bundle_problem import CONFIDENCE_MIN, NEAREST
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
 from instok3d.backbones.nano.threads import all_threads
 from instok3d.geometry.cameras import invert_rigid, pixel_centers, transform_points
 
-try:  # after torch, so that both use torch's OpenMP and its pool of threads
+try:  # after torch, so that both share torch's OpenMP and its thread pool
     from instok3d.backbones.nano.native import (
         _alignment,  # pyright: ignore[reportAttributeAccessIssue]
     )
@@ -26,28 +26,30 @@ except ImportError:
     _alignment = None
 
 PATCH = 8
-"""Pixels across the patch that is compared; even, as the middle of a cell is a corner of four."""
+"""Side of a patch in pixels; even, because the centre of a cell is the corner of four pixels."""
 PATCH_REACH_PX = 4.0
-"""Standard deviation of the weights of the patch's pixels."""
+"""Standard deviation of the Gaussian window over the patch."""
 COLOR_NOISE = 0.004
-"""Of a colour from 0 to 1. Larger differences count less and less (Cauchy), so a noisier photo
-loosens its matches by itself."""
-SHARED = 8.0
-"""Neighbouring pixels are wrong together: so many of a patch say what one would."""
+"""Standard deviation of a colour in [0, 1]. Residuals are robust (Cauchy): a noisier photo gets
+matches of lower precision."""
+CORRELATED_PIXELS = 8.0
+"""Number of pixels that carry the information of one independent pixel: errors of neighbouring
+pixels correlate."""
 PEAK_REACH_PX = 4.0
-"""Standard deviation about the descriptors' peak within which a place is looked for."""
+"""Standard deviation of the prior on the position, around the descriptors' peak."""
 NEAREST_ERROR_PX = 0.15
-"""No match is taken to be surer than this."""
+"""Lower bound on the standard deviation of a match."""
 START_REACH_PX = 6.0
-"""Where cameras and depth put a match farther from its peak than this, the peak is believed."""
+"""Largest distance between the predicted position and the peak. Beyond it the search starts at the
+peak."""
 WARP_MAX_PX = 12.0
-"""A patch that would grow over more on a side is compared as it is."""
+"""Patches that the warp would extend farther than this from their centre are not warped."""
 ITERATIONS = 6
 
 
 @dataclass(frozen=True)
 class PhotoGeometry:
-    """Photos of one view of each scene, and what is known of their geometry so far."""
+    """Photos of one view of each scene, with the current estimate of their geometry."""
 
     images: Float[Tensor, "batch 3 height width"]
     depths: Float[Tensor, "batch height width"]
@@ -57,37 +59,38 @@ class PhotoGeometry:
 
 @torch.no_grad()
 def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
-    """The matches where the photos agree best, and how precisely they say so.
+    """Matches at the positions where the photos agree best, with their precision.
 
-    The patch around each cell, turned and scaled as cameras and depth say, is moved over the other
-    photo until the colours differ least, apart from one difference for the whole patch, as
-    exposures differ. Gauss-Newton from where cameras and depth put it; the descriptors' peak
-    holds it where there is nothing to be seen. Cells whose match no scene trusts stay as they
-    are. Not differentiable.
+    1. Predict each match from cameras and depth, and warp the patch around its cell accordingly.
+    2. Minimise the colour difference over the position by Gauss-Newton, up to one constant for the
+       whole patch, because exposures differ.
+    3. A prior at the descriptors' peak holds the position where the patch has no texture.
+
+    Matches that are of low confidence in all scenes are unchanged. Not differentiable.
 
     Args:
-        matches: Of cells of `here` in `there`.
-        here: Where the cells are.
-        there: Where they are looked for.
+        matches: Matches of cells of `here` in `there`.
+        here: The view whose cells are matched.
+        there: The view in which they are searched.
     """
-    trusted = (matches.trust > TRUST_MIN).any(0).nonzero()[:, 0]
+    confident = (matches.confidence > CONFIDENCE_MIN).any(0).nonzero()[:, 0]
     plain = all(
         values.dtype == torch.float32 and values.device.type == "cpu"
         for values in (here.images, there.images, matches.pixels)
     )
     search = search_native if _alignment is not None and plain else search_reference
-    found = search(matches.at(trusted), here, there)
+    found = search(matches.at(confident), here, there)
     return replace(
         matches,
-        pixels=matches.pixels.index_copy(1, trusted, found.pixels),
-        precision=matches.precision.index_copy(1, trusted, found.precision),
+        pixels=matches.pixels.index_copy(1, confident, found.pixels),
+        precision=matches.precision.index_copy(1, confident, found.precision),
     )
 
 
 def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
-    """What `search_reference` does, in C++ for the processor, from float32.
+    """`search_reference` in C++, for float32 on the CPU.
 
-    Uses all threads, inside of `one_thread` too; the result does not depend on how many.
+    Uses all threads, also inside of `one_thread`. The result does not depend on their number.
 
     Raises:
         RuntimeError: The kernels are not built.
@@ -117,7 +120,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
             peak_reach=PEAK_REACH_PX,
             nearest_error=NEAREST_ERROR_PX,
             color_noise=COLOR_NOISE,
-            shared=SHARED,
+            shared=CORRELATED_PIXELS,
             iterations=ITERATIONS,
             threads=torch.get_num_threads(),
         )  # fmt: skip
@@ -125,7 +128,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
 
 
 def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
-    """The search of `align_matches`, of all of these matches, on any device and in any precision.
+    """The search of `align_matches` over all given matches, on any device and in any precision.
 
     Args:
         matches: As in `align_matches`.
@@ -136,12 +139,12 @@ def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry
     own = _own_offsets(like=start)
     window = _window(own)
     patch = _sample(here.images, matches.centers[:, None].expand(len(start), -1, 1, 2) + own)
-    layers = torch.cat([there.images, *_slopes(there.images)], dim=1)
-    held = torch.eye(2).to(start) / PEAK_REACH_PX**2
-    pixels, precision = start, held.expand(*start.shape, 2)
+    layers = torch.cat([there.images, *_image_gradients(there.images)], dim=1)
+    prior = torch.eye(2).to(start) / PEAK_REACH_PX**2
+    pixels, precision = start, prior.expand(*start.shape, 2)
     for _ in range(ITERATIONS):
         hessian, gradient = _photo_equations(pixels, offsets, patch, layers, window)
-        precision = hessian + held
+        precision = hessian + prior
         gradient = gradient + (pixels - matches.pixels) / PEAK_REACH_PX**2
         step = -(_inverse(precision) @ gradient[..., None])[..., 0]
         pixels = pixels + step / step.norm(dim=-1, keepdim=True).clamp_min(1.0)
@@ -150,21 +153,21 @@ def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry
 
 
 def _own_offsets(*, like: Tensor) -> Float[Tensor, "pixel 2"]:
-    """The pixels of a patch about its middle."""
+    """Pixels of an unwarped patch, relative to its centre."""
     return pixel_centers(PATCH, PATCH, like=like).flatten(0, 1) - 0.5 * PATCH
 
 
 def _window(offsets: Float[Tensor, "pixel 2"]) -> Float[Tensor, " pixel"]:
-    """Weights of the pixels of a patch."""
+    """Weight of each pixel of a patch."""
     return torch.exp(-0.5 * offsets.square().sum(-1) / PATCH_REACH_PX**2)
 
 
 def _warp_patches(
     matches: Matches, here: PhotoGeometry, there: PhotoGeometry
 ) -> tuple[Float[Tensor, "batch cell 2"], Float[Tensor, "batch cell pixel 2"]]:
-    """Where to begin in the other photo, and the patch's pixels about that place.
+    """Initial positions in the other photo, and the warped patches relative to them.
 
-    Each patch is taken to face the camera at the depth of its cell.
+    Each patch is assumed to be fronto-parallel, at the depth of its cell.
     """
     own = _own_offsets(like=matches.centers)
     pixels = matches.centers[:, None] + own
@@ -175,31 +178,32 @@ def _warp_patches(
     seen = transform_points(there.cam_from_first @ invert_rigid(here.cam_from_first), points)
     front = (seen[..., 2] > NEAREST).unflatten(1, pixels.shape[:2]).all(-1)
     seen = seen @ there.intrinsics.mT
-    placed = (seen[..., :2] / seen[..., 2:].clamp_min(NEAREST)).unflatten(1, pixels.shape[:2])
-    middle = placed.mean(2)
-    offsets = placed - middle[:, :, None]
+    projected = (seen[..., :2] / seen[..., 2:].clamp_min(NEAREST)).unflatten(1, pixels.shape[:2])
+    center = projected.mean(2)
+    offsets = projected - center[:, :, None]
     small = front & (offsets.abs().amax((2, 3)) < WARP_MAX_PX)
-    near = front & ((middle - matches.pixels).norm(dim=-1) < START_REACH_PX)
+    near = front & ((center - matches.pixels).norm(dim=-1) < START_REACH_PX)
     return (
-        torch.where(near[..., None], middle, matches.pixels),
+        torch.where(near[..., None], center, matches.pixels),
         torch.where(small[..., None, None], offsets, own),
     )
 
 
-# The three below run so often that checking their types takes longer than small photos do.
+# No shape checks on the three functions below: they run so often that, in tests, the checks would
+# take longer than the computation.
 
 
 def _photo_equations(
     pixels: Tensor, offsets: Tensor, patch: Tensor, layers: Tensor, window: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Normal equations of the colour differences over the place, in units of their noise.
+    """Normal equations of the whitened colour differences, over the position.
 
     Args:
-        pixels: Places so far, [batch cell 2].
-        offsets: Of the patch's pixels about them, [batch cell pixel 2].
-        patch: Colours to be found, [batch 3 cell pixel].
-        layers: Colours of the other photo, their slopes along x and along y, [batch 9 row column].
-        window: Weights of the patch's pixels.
+        pixels: Current positions, [batch cell 2].
+        offsets: Pixels of the warped patches relative to them, [batch cell pixel 2].
+        patch: Colours of the patches, [batch 3 cell pixel].
+        layers: Colours of the other photo and their gradients in x and y, [batch 9 row column].
+        window: Weight of each pixel of a patch.
 
     Returns:
         Hessian [batch cell 2 2] and gradient [batch cell 2].
@@ -211,7 +215,7 @@ def _photo_equations(
     error, by_x, by_y = found.split(3, dim=1)
     scale = 2 * COLOR_NOISE
     robust = window / (1 + error.square().mean(1, keepdim=True) / scale**2)
-    robust = robust / (SHARED * COLOR_NOISE**2)
+    robust = robust / (CORRELATED_PIXELS * COLOR_NOISE**2)
 
     def total(a: Tensor, b: Tensor) -> Tensor:
         return (robust * a * b).sum((1, 3))
@@ -223,7 +227,7 @@ def _photo_equations(
 
 
 def _sample(images: Tensor, pixels: Tensor) -> Tensor:
-    """Values [batch channel a b] at places [batch a b 2], bilinear; outside those of the edge."""
+    """Bilinear samples [batch channel a b] at pixels [batch a b 2]; beyond the edge, its values."""
     size = torch.tensor([images.shape[-1], images.shape[-2]]).to(images)
     return functional.grid_sample(
         images, pixels / size * 2 - 1, padding_mode="border", align_corners=False
@@ -231,7 +235,7 @@ def _sample(images: Tensor, pixels: Tensor) -> Tensor:
 
 
 def _inverse(matrices: Tensor) -> Tensor:
-    """Of symmetric positive definite 2 x 2, written out: many small ones are slow otherwise."""
+    """Inverse of symmetric 2 x 2 matrices in closed form: a batched solver is slower."""
     a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
     adjugate = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2))
     return adjugate / (a * d - b * b)[..., None, None]
@@ -240,13 +244,13 @@ def _inverse(matrices: Tensor) -> Tensor:
 def sample_depth(
     depths: Float[Tensor, "batch height width"], pixels: Float[Tensor, "batch point 2"]
 ) -> Float[Tensor, "batch point"]:
-    """Depth at places of the image; that of a cell is the geometric mean over its pixels."""
+    """Depth at positions in the image, interpolated in log depth between the means of cells."""
     coarse = functional.avg_pool2d(depths[:, None].log(), MATCH_STRIDE)
     return _sample(coarse, pixels[:, :, None] / MATCH_STRIDE)[:, 0, :, 0].exp()
 
 
-def _slopes(images: Float[Tensor, "batch 3 height width"]) -> tuple[Tensor, Tensor]:
-    """Change of colour from pixel to pixel along x and along y."""
+def _image_gradients(images: Float[Tensor, "batch 3 height width"]) -> tuple[Tensor, Tensor]:
+    """Derivatives of the colours in x and y, by central differences."""
     padded = functional.pad(images, (1, 1, 1, 1), mode="replicate")
     along_x = 0.5 * (padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2])
     along_y = 0.5 * (padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1])

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.backbones.nano.bundle import TRUST_MIN
+from instok3d.backbones.nano.bundle_problem import CONFIDENCE_MIN
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
 from instok3d.backbones.nano.pair_matches import PairMatches
 
@@ -78,7 +78,7 @@ def _mutual(matches: Matches, back: Matches, columns: int) -> Bool[Tensor, " cel
     x, y = (matches.pixels[0] / MATCH_STRIDE).floor().long().unbind(-1)
     cells = y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1)
     away = (back.pixels[0][cells] - matches.centers).norm(dim=-1)
-    return (matches.trust[0] > TRUST_MIN) & (away < RETURN_PX)
+    return (matches.confidence[0] > CONFIDENCE_MIN) & (away < RETURN_PX)
 
 
 def _patches(

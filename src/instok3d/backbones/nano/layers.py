@@ -23,14 +23,14 @@ class SelfAttentionBlock(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "sequence token channel"]
     ) -> Float[Tensor, "sequence token channel"]:
-        """The tokens after they have seen each other."""
+        """Tokens after attention and MLP."""
         sequences, count, width = tokens.shape
         mixed = self.query_key_value(self.norm_attention(tokens))
         query, key, value = mixed.view(sequences, count, 3, -1, self.head_width).unbind(2)
         query = self.norm_query(query).to(value.dtype).transpose(1, 2)
         key = self.norm_key(key).to(value.dtype).transpose(1, 2)
-        seen = functional.scaled_dot_product_attention(query, key, value.transpose(1, 2))
-        tokens = tokens + self.project(seen.transpose(1, 2).reshape(sequences, count, width))
+        attended = functional.scaled_dot_product_attention(query, key, value.transpose(1, 2))
+        tokens = tokens + self.project(attended.transpose(1, 2).reshape(sequences, count, width))
         hidden = functional.gelu(self.expand(self.norm_mlp(tokens)))
         return tokens + self.contract(hidden)
 

@@ -1,4 +1,4 @@
-"""Cameras of all views from the matches of pairs of them, and what the matches say of depth."""
+"""Cameras and depth corrections of all views from matches between pairs of views."""
 
 from dataclasses import replace
 
@@ -8,38 +8,38 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.backbones.nano.alignment import align_matches
-from instok3d.backbones.nano.bundle import (
+from instok3d.backbones.nano.bundle import adjust_bundle
+from instok3d.backbones.nano.bundle_problem import (
     NEAREST,
     BundleNoise,
     SolveSettings,
-    adjust_bundle,
-    coarse_grid,
-    counted_trust,
+    confidence_weight,
 )
+from instok3d.backbones.nano.depth_grid import coarse_grid
 from instok3d.backbones.nano.matching import join_matches
 from instok3d.backbones.nano.pair_matches import (
     PairMatches,
     PhotoViews,
     SolvedViews,
     matched_cells,
-    pair_sightings,
-    thinned,
+    pair_observations,
+    subsample_matches,
 )
 from instok3d.backbones.nano.threads import one_thread
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import compose_along_tree, register_pair, spanning_tree
 
-THINNED_ROUNDS, FULL_ROUNDS = 3, 2
-"""So many times matches are aligned by the cameras and the cameras solved from them: a quarter of
-them until the cameras are nearly right, then all."""
+SUBSAMPLED_ROUNDS, FULL_ROUNDS = 3, 2
+"""Rounds of alignment and bundle adjustment: with a quarter of the matches until the cameras are
+nearly right, then with all."""
 ROUNDS_ALONE = 5
-"""The same for a pair that is to be placed among others; a quarter of its matches is enough."""
-SHARED_ALONE = 0.1
-"""As many independent matches an aligned one of a pair alone is worth."""
-SHARED_TOGETHER = 0.3
-"""The same where other pairs see the same places: their errors are not those of its neighbours."""
+"""Rounds for each pair on its own, before the pairs are chained; a quarter of the matches."""
+INDEPENDENCE_ALONE = 0.1
+"""Weight of an aligned match when only one pair observes the scene."""
+INDEPENDENCE_TOGETHER = 0.3
+"""Weight of an aligned match among several pairs: errors of different pairs do not correlate."""
 AGREEMENT_TOGETHER = 0.05
-"""x/z, y/z at which a match agrees with cameras that came from aligned pairs."""
+"""Largest error in x/z, y/z at which a match agrees with cameras that come from aligned pairs."""
 
 
 @one_thread()
@@ -49,35 +49,41 @@ def solve_views(
     views: PhotoViews,
     settings: SolveSettings,
 ) -> SolvedViews:
-    """The cameras under which all matches fit best, and depth moved with them.
+    """Cameras, focal length and depth corrections that fit all matches best.
 
-    With the cameras the photos say more exactly where the matches lie, from which come better
-    cameras, and so on in turn. Of more than two views every pair first does so alone: one wrong
-    pair would pull all others along. The pairs whose matches then fit best make the tree along
-    which they are chained, and from there all views are adjusted together. Not differentiable.
+    1. Register the pair, or with more than two views every pair on its own: one wrong pair would
+       spoil the others. Chain the pairs that fit best along a spanning tree.
+    2. Align the matches with the current cameras, then adjust cameras and depths of all views
+       together; repeat. Better cameras give better matches, and better matches better cameras.
+
+    Not differentiable.
 
     Args:
-        pairs: Matches of enough pairs to link all views.
-        views: The cameras come out in units of their depths.
-        settings: What is solved for, and what errors to expect of the depths.
+        pairs: Matches of enough pairs to connect all views.
+        views: Photos and predicted geometry. The cameras come out in units of the depths.
+        settings: What is solved for, and the expected errors of the depths.
     """
     if not pairs:
         first = torch.eye(4).to(views.depths).expand(*views.depths.shape[:2], 4, 4)
-        return unsolved(views, first.clone())
-    few = thinned(pairs, views)
+        return initial_solution(views, first.clone())
+    subset = subsample_matches(pairs, views)
     if len(pairs) == 1:
-        solved = _adjust(few, views, unsolved(views, _register(pairs[0], views)), settings)
+        solved = _adjust(
+            subset, views, initial_solution(views, _register(pairs[0], views)), settings
+        )
     else:
-        solved = unsolved(views, _chain_pairs(pairs, views, settings))
-    for matches in [few] * THINNED_ROUNDS + [pairs] * FULL_ROUNDS:
+        solved = initial_solution(views, _chain_pairs(pairs, views, settings))
+    for matches in [subset] * SUBSAMPLED_ROUNDS + [pairs] * FULL_ROUNDS:
         solved = improve_views(matches, views, solved, settings)
     return solved
 
 
-def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]) -> SolvedViews:
-    """Some cameras, with depths and focal length as they are."""
-    nothing = torch.zeros_like(views.depths)
-    return SolvedViews(cam_from_first, nothing[:, 0, 0, 0], nothing)
+def initial_solution(
+    views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
+) -> SolvedViews:
+    """These cameras, without a correction of depths or focal length."""
+    zeros = torch.zeros_like(views.depths)
+    return SolvedViews(cam_from_first, zeros[:, 0, 0, 0], zeros)
 
 
 @one_thread()
@@ -85,21 +91,23 @@ def unsolved(views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"])
 def improve_views(
     pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, settings: SolveSettings
 ) -> SolvedViews:
-    """One round more: the matches aligned by what is solved, and everything solved from them.
+    """One more round: matches aligned with the current solution, then all views adjusted.
 
     Args:
-        pairs: As they were found, all matches or some.
+        pairs: Matches before any alignment, all or a subset.
         views: As in `solve_views`.
-        solved: Where to begin.
-        settings: As in `solve_views`; the depths are those of `views`.
+        solved: The current solution.
+        settings: As in `solve_views`; the expected errors are of the depths in `views`.
     """
     if not pairs:
         return solved
-    aligned = align_pairs(pairs, views.moved(solved), solved.cam_from_first)
+    aligned = align_pairs(pairs, views.corrected(solved), solved.cam_from_first)
     if len(pairs) > 1:
-        noise = replace(settings.noise, shared=SHARED_TOGETHER, agreement=AGREEMENT_TOGETHER)
-    else:  # no other could say that it is wrong
-        noise = replace(settings.noise, shared=SHARED_ALONE)
+        noise = replace(
+            settings.noise, independence=INDEPENDENCE_TOGETHER, agreement=AGREEMENT_TOGETHER
+        )
+    else:  # a single pair has no other to contradict it
+        noise = replace(settings.noise, independence=INDEPENDENCE_ALONE)
     return _adjust(aligned, views, solved, replace(settings, noise=noise))
 
 
@@ -107,7 +115,7 @@ def improve_views(
 def align_pairs(
     pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
 ) -> list[PairMatches]:
-    """All matches moved to where the photos agree best, near where cameras and depth put them."""
+    """All matches aligned photometrically, from the positions that cameras and depth predict."""
     aligned = []
     for pair in pairs:
         of_a, of_b = (
@@ -123,18 +131,18 @@ def _adjust(
 ) -> SolvedViews:
     height, width = views.depths.shape[-2:]
     grid = coarse_grid(height, width)
-    sightings = pair_sightings(pairs, views)
-    cam_from_first, changes, log_focal = adjust_bundle(
-        sightings, solved.cam_from_first, settings, grid, log_focal=solved.log_focal
+    observations = pair_observations(pairs, views)
+    cam_from_first, corrections, log_focal = adjust_bundle(
+        observations, solved.cam_from_first, settings, grid, log_focal=solved.log_focal
     )
-    deeper = functional.interpolate(
-        changes.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
+    dense = functional.interpolate(
+        corrections.unflatten(-1, grid), size=(height, width), mode="bilinear", align_corners=False
     )
-    return SolvedViews(cam_from_first, log_focal, deeper)
+    return SolvedViews(cam_from_first, log_focal, dense)
 
 
 def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 4"]:
-    """cam_from_first of the two views of a pair, from where descriptors and depth put it."""
+    """cam_from_first of the two views of a pair, from matched descriptors and depth."""
     b_from_a = register_pair(*matched_cells(pair, views))
     return torch.stack([torch.eye(4).to(b_from_a).expand_as(b_from_a), b_from_a], dim=1)
 
@@ -142,23 +150,26 @@ def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 
 def _chain_pairs(
     pairs: list[PairMatches], views: PhotoViews, settings: SolveSettings
 ) -> Float[Tensor, "batch view 4 4"]:
-    """cam_from_first of every view: all pairs solved alone, the best-supported ones composed."""
+    """cam_from_first of every view, composed from the pairs with the most support."""
     batch, count = views.depths.shape[:2]
+    # 1. Solve every pair of every scene on its own, all in one batch.
     pair, scenes, both = _as_scenes(pairs, batch)
-    alone = PhotoViews(
+    two_views = PhotoViews(
         views.images[scenes, both], views.depths[scenes, both], views.intrinsics[scenes, both]
     )
     settings = SolveSettings(settings.depth_is_free[scenes, both], noise=settings.noise)
-    few = thinned([pair], alone)
-    solved = _adjust(few, alone, unsolved(alone, _register(pair, alone)), settings)
+    subset = subsample_matches([pair], two_views)
+    registered = initial_solution(two_views, _register(pair, two_views))
+    solved = _adjust(subset, two_views, registered, settings)
     for _ in range(ROUNDS_ALONE):
-        solved = improve_views(few, alone, solved, settings)
-    support = _support(few, alone, solved, settings.noise).view(-1, batch)
+        solved = improve_views(subset, two_views, solved, settings)
+    # 2. In each scene, chain the pairs along the spanning tree of the most support.
+    support = _support(subset, two_views, solved, settings.noise).view(-1, batch)
     b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
     found = []
     for scene in range(batch):
         edges = [(int(p.views_a[scene]), int(p.views_b[scene])) for p in pairs]
-        scores = views.depths.new_full((count, count), -1.0)  # never chosen: no such pair
+        scores = views.depths.new_full((count, count), -1.0)  # below every pair that exists
         steps = {}
         for number, (a, b) in enumerate(edges):
             scores[a, b] = support[number, scene]
@@ -172,7 +183,7 @@ def _chain_pairs(
 def _as_scenes(
     pairs: list[PairMatches], batch: int
 ) -> tuple[PairMatches, Int[Tensor, "row 1"], Int[Tensor, "row 2"]]:
-    """Every pair of every scene as a scene of two views; which scene, and which views of it."""
+    """All pairs as one batch of scenes of two views, with their scene and views as indices."""
     views_a, views_b = [p.views_a for p in pairs], [p.views_b for p in pairs]
     both = torch.stack([torch.cat(views_a), torch.cat(views_b)], dim=1)
     zero = torch.zeros_like(both[:, 0])
@@ -189,15 +200,16 @@ def _as_scenes(
 def _support(
     pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, noise: BundleNoise
 ) -> Float[Tensor, " batch"]:
-    """How many matches, aligned, lie where the cameras put them; wrong pairs have few of these."""
-    views = views.moved(solved)
+    """Robust number of aligned matches that fit the cameras; wrong pairs have few."""
+    views = views.corrected(solved)
     aligned = align_pairs(pairs, views, solved.cam_from_first)
-    sightings = pair_sightings(aligned, views)
+    observations = pair_observations(aligned, views)
     there, here = (
-        solved.cam_from_first[sightings.scenes, view] for view in (sightings.there, sightings.here)
+        solved.cam_from_first[observations.scenes, view]
+        for view in (observations.there, observations.here)
     )
-    seen = transform_points(there @ invert_rigid(here), sightings.points)
-    off = seen[..., :2] / seen[..., 2:].clamp_min(NEAREST) - sightings.rays
-    squared = (off[..., None, :] @ sightings.precision @ off[..., None])[..., 0, 0]
-    weight = counted_trust(sightings.trust) / (1 + squared / noise.outlier**2)
-    return squared.new_zeros(len(views.depths)).index_add(0, sightings.scenes, weight.sum(-1))
+    seen = transform_points(there @ invert_rigid(here), observations.points)
+    error = seen[..., :2] / seen[..., 2:].clamp_min(NEAREST) - observations.rays
+    squared = (error[..., None, :] @ observations.precision @ error[..., None])[..., 0, 0]
+    weight = confidence_weight(observations.confidence) / (1 + squared / noise.outlier**2)
+    return squared.new_zeros(len(views.depths)).index_add(0, observations.scenes, weight.sum(-1))

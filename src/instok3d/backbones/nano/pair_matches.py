@@ -1,4 +1,4 @@
-"""What pairs of views see of each other, and the photos and geometry it is held against."""
+"""Matches between pairs of views, and the photos and geometry that they are compared with."""
 
 from dataclasses import dataclass, replace
 
@@ -7,25 +7,25 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.backbones.nano.alignment import PhotoGeometry, sample_depth
-from instok3d.backbones.nano.bundle import Sightings
+from instok3d.backbones.nano.bundle_problem import Observations
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
 from instok3d.geometry.registration import MatchedPoints
 
 
 @dataclass(frozen=True)
 class PairMatches:
-    """Matches of two views of each scene of the batch, both ways."""
+    """Matches between two views of each scene of the batch, in both directions."""
 
     views_a: Int[Tensor, " batch"]
     views_b: Int[Tensor, " batch"]
     of_a: Matches
-    """Where the cells of a lie in b."""
+    """Matches of the cells of a in b."""
     of_b: Matches
-    """Where the cells of b lie in a."""
+    """Matches of the cells of b in a."""
 
     @property
     def ways(self) -> tuple[tuple[Tensor, Tensor, Matches], tuple[Tensor, Tensor, Matches]]:
-        """(views here, views there, matches of cells of here in there), both ways."""
+        """(views here, views there, matches of cells of here in there), in both directions."""
         return (
             (self.views_a, self.views_b, self.of_a),
             (self.views_b, self.views_a, self.of_b),
@@ -34,19 +34,19 @@ class PairMatches:
 
 @dataclass(frozen=True)
 class SolvedViews:
-    """Cameras of all views, their focal length and the coarse change of their depths."""
+    """Solved cameras, focal length and coarse depth corrections of all views."""
 
     cam_from_first: Float[Tensor, "batch view 4 4"]
     """In units of the depths."""
     log_focal: Float[Tensor, " batch"]
-    """Logarithm of the focal length, one for all views, over what it was taken for."""
-    deeper: Float[Tensor, "batch view height width"]
-    """To be added to log depth."""
+    """Logarithm of the focal length over its initial value; one for all views of a scene."""
+    log_depth_correction: Float[Tensor, "batch view height width"]
+    """To be added to the log depths."""
 
 
 @dataclass(frozen=True)
 class PhotoViews:
-    """Photos of all views and the geometry in which their matches are looked at."""
+    """Photos of all views with their current depths and intrinsics."""
 
     images: Float[Tensor, "batch view 3 height width"]
     depths: Float[Tensor, "batch view height width"]
@@ -62,25 +62,25 @@ class PhotoViews:
         parts = (self.images, self.depths, self.intrinsics, cam_from_first)
         return PhotoGeometry(*(part[scenes, views] for part in parts))
 
-    def moved(self, solved: SolvedViews) -> "PhotoViews":
-        """With the depths and the focal length that were solved for."""
+    def corrected(self, solved: SolvedViews) -> "PhotoViews":
+        """With the solved depth corrections and focal length applied."""
         return replace(
             self,
-            depths=self.depths * solved.deeper.exp(),
+            depths=self.depths * solved.log_depth_correction.exp(),
             intrinsics=scale_focal(self.intrinsics, solved.log_focal),
         )
 
 
 @dataclass(frozen=True)
 class MatchedCells(MatchedPoints):
-    """Cells of one view, put into space by its depth, and where another view sees them."""
+    """Cells of one view, unprojected by its depth, with their matches in another view."""
 
     precision: Float[Tensor, "batch point 2 2"]
     """Inverse covariance of the rays."""
 
 
 def matched_cells(pair: PairMatches, views: PhotoViews) -> tuple[MatchedCells, MatchedCells]:
-    """The cells of a as b sees them, and the cells of b as a sees them."""
+    """The cells of a with their matches in b, and the cells of b with their matches in a."""
     scenes = torch.arange(len(views.depths), device=views.depths.device)
     found = []
     for here, there, matches in pair.ways:
@@ -92,7 +92,7 @@ def matched_cells(pair: PairMatches, views: PhotoViews) -> tuple[MatchedCells, M
         by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
         rays = matched[..., :2] / matched[..., 2:]
         found.append(
-            MatchedCells(points, rays, matched, matches.trust, matches.precision * by_focal)
+            MatchedCells(points, rays, matched, matches.confidence, matches.precision * by_focal)
         )
     return found[0], found[1]
 
@@ -100,17 +100,17 @@ def matched_cells(pair: PairMatches, views: PhotoViews) -> tuple[MatchedCells, M
 def scale_focal(
     intrinsics: Float[Tensor, "batch view 3 3"], log_focal: Float[Tensor, " batch"]
 ) -> Float[Tensor, "batch view 3 3"]:
-    """Intrinsics with focal lengths that are exp(log_focal) times as long."""
+    """Intrinsics with the focal lengths multiplied by exp(log_focal)."""
     scale = torch.ones_like(intrinsics)
     scale[..., 0, 0] = scale[..., 1, 1] = log_focal.exp()[:, None]
     return intrinsics * scale
 
 
-def thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
-    """The matches of every second cell each way.
+def subsample_matches(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
+    """The matches of every second cell in each direction of the image.
 
-    Before they are aligned, those of neighbouring cells are wrong together: all of them say little
-    more than a quarter.
+    Before alignment, errors of neighbouring cells correlate: all matches carry little more
+    information than a quarter of them.
     """
     rows, columns = (size // MATCH_STRIDE for size in views.depths.shape[-2:])
     number = torch.arange(rows * columns, device=views.depths.device).view(rows, columns)
@@ -118,18 +118,18 @@ def thinned(pairs: list[PairMatches], views: PhotoViews) -> list[PairMatches]:
     return [replace(pair, of_a=pair.of_a.at(cells), of_b=pair.of_b.at(cells)) for pair in pairs]
 
 
-def pair_sightings(pairs: list[PairMatches], views: PhotoViews) -> Sightings:
-    """Both directions of every pair of every scene, one row each."""
+def pair_observations(pairs: list[PairMatches], views: PhotoViews) -> Observations:
+    """Observations of both directions of every pair of every scene, one row each."""
     height, width = views.depths.shape[-2:]
     size = torch.tensor([width, height]).to(views.depths)
     scenes = torch.arange(len(views.depths), device=size.device)
     parts = []
     for pair in pairs:
         for (here, there, matches), way in zip(pair.ways, matched_cells(pair, views), strict=True):
-            places = (matches.centers / size).expand(len(scenes), -1, -1)
-            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.trust)
-            parts.append((scenes, here, there, *points, places, matches.pixels / size))
-    return Sightings(*(torch.cat(each) for each in zip(*parts, strict=True)))
+            positions = (matches.centers / size).expand(len(scenes), -1, -1)
+            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.confidence)
+            parts.append((scenes, here, there, *points, positions, matches.pixels / size))
+    return Observations(*(torch.cat(each) for each in zip(*parts, strict=True)))
 
 
 def _points_at(
@@ -137,6 +137,6 @@ def _points_at(
     depths: Float[Tensor, "batch height width"],
     intrinsics: Float[Tensor, "batch 3 3"],
 ) -> Float[Tensor, "batch point 3"]:
-    """Points of the surface at places of an image, in the camera's frame."""
+    """Surface points at positions in an image, in the camera's frame."""
     rays = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1) @ intrinsics.inverse().mT
     return rays * sample_depth(depths, pixels)[..., None]
