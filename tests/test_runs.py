@@ -2,11 +2,15 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import torch
+from safetensors.torch import load_file, save_file
 
 from command_lines import parses
+from instok3d.evaluation.disturbances import DISTURBANCES
 
 RUNS = Path(__file__).resolve().parents[1] / "runs"
 RECORDER = """#!/usr/bin/env bash
@@ -78,11 +82,72 @@ def test_the_rehearsal_runs_commands_that_exist_in_order(
             assert parses(words, patch), words
 
 
-def test_the_rehearsal_refuses_other_options(tmp_path: Path):
+@pytest.mark.parametrize("mode", [[], ["--small"]])
+def test_training_for_real_photos_runs_commands_that_exist_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: list[str]
+):
+    commands = recorded(tmp_path, "real_photos.sh", *mode)
+    (joined,) = (words for words in commands if words[0].endswith("joined_weights.py"))
+    place = commands.index(joined)
+    assert commands[place - 1][:2] == ["train", "nano-refinement"]
+    commands.remove(joined)
+    stages = [words[:2] for words in commands]
+    training = ["nano-geometry", "nano-refinement", "nano-tokenizer", "export"]
+    assert stages[:6] == [["data", "rooms"]] * 2 + [["train", name] for name in training]
+    assert all(words[0] == "evaluate" for words in commands[6:])
+    for words in commands[2:5]:
+        assert words[words.index("--batches.sensor.strength") + 1] == "1"
+    rows = [words for words in commands if "--refine" in words]
+    assert sum("--disturb" in words for words in rows) == 2 * len(DISTURBANCES)
+    assert len(rows) == 2 * len(DISTURBANCES) + 2
+    for words in commands:
+        with monkeypatch.context() as patch:
+            assert parses(words, patch), words
+
+
+def test_training_for_real_photos_goes_on_and_keeps_what_is_done(tmp_path: Path):
+    folder = tmp_path / "my run"
+    (folder / "geometry" / "checkpoints").mkdir(parents=True)
+    (folder / "geometry" / "checkpoints" / "step_00000100.pt").touch()
+    for name in ("first.safetensors", "real_photos.safetensors", "hard-0.md"):
+        (folder / name).touch()
+    commands = recorded(tmp_path, "real_photos.sh")
+    assert [words[1] for words in commands if "--resume" in words] == ["nano-geometry"]
+    assert not any("export" in words or words[0].endswith("weights.py") for words in commands)
+    hard = [words for words in commands if "hard" in words]
+    assert [words[words.index("--refine") + 1] for words in hard] == ["100"]
+
+
+def test_the_plan_of_the_training_for_real_photos_writes_nothing(tmp_path: Path):
+    commands = recorded(tmp_path, "real_photos.sh", "--dry-run")
+    assert [words[:2] for words in commands] == [
+        ["train", "nano-geometry"], ["train", "nano-refinement"], ["train", "nano-tokenizer"],
+    ]  # fmt: skip
+    assert all("--dry-run" in words for words in commands)
+    assert not (tmp_path / "my run").exists()
+
+
+def test_the_tokenizer_of_one_model_joins_the_backbone_of_another(tmp_path: Path):
+    ones, twos, odd = (tmp_path / name for name in ("1.safetensors", "2.safetensors", "3.st"))
+    one, two = torch.ones(2), torch.full((2,), 2.0)
+    save_file({"anchors": one, "backbone.a": one.clone()}, ones)
+    save_file({"a": two}, twos)
+    save_file({"b": two}, odd)
+    command = [sys.executable, RUNS / "joined_weights.py", ones, "-o", tmp_path / "joined"]
+    subprocess.run([*command, twos], check=True)
+    joined = load_file(tmp_path / "joined")
+    assert {name: value.tolist() for name, value in joined.items()} == {
+        "anchors": [1.0, 1.0], "backbone.a": [2.0, 2.0],
+    }  # fmt: skip
+    failed = subprocess.run([*command, odd], capture_output=True, text=True, check=False)
+    assert "they differ in ['backbone.a', 'backbone.b']" in failed.stderr
+    assert failed.returncode
+
+
+@pytest.mark.parametrize("script", ["rehearsal.sh", "real_photos.sh"])
+def test_scripts_refuse_other_options(tmp_path: Path, script: str):
     ended = subprocess.run(
-        ["bash", RUNS / "rehearsal.sh", tmp_path / "new", "--tiny"],
-        capture_output=True,
-        check=False,
+        ["bash", RUNS / script, tmp_path / "new", "--tiny"], capture_output=True, check=False
     )
     assert ended.returncode == 2
     assert not (tmp_path / "new").exists()
