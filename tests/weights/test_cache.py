@@ -122,5 +122,27 @@ def test_the_shipped_model_is_found_and_leaves_no_record():
 def test_a_damaged_record_is_named():
     path = put("vggt-1b")
     cache_module.record_place(path).write_text("{")
-    with pytest.raises(ValueError, match=r"record\.json is damaged, delete it"):
+    with pytest.raises(ValueError, match=r"record\.json is damaged .*delete it"):
         weights_path("vggt-1b")
+
+
+@pytest.mark.parametrize("key", ["sha256", "bytes", "modified_ns", "origin", "recorded"])
+def test_a_record_of_other_kinds_is_refused_by_name(key: str):
+    path = put("vggt-1b")
+    file = cache_module.record_place(path)
+    whole = {
+        "sha256": "0" * 64, "bytes": 7, "modified_ns": 1, "origin": "by hand", "recorded": "now",
+    }  # fmt: skip
+    file.write_text(json.dumps(whole))
+    assert cache_module.read_record(path) is not None
+    for value in (None, [], {}, True, -1 if key in ("bytes", "modified_ns") else 3, 1.5):
+        file.write_text(json.dumps(whole | {key: value}))
+        with pytest.raises(ValueError, match=r"record\.json is damaged .*delete it"):
+            cache_module.read_record(path)
+    del whole[key]
+    file.write_text(json.dumps(whole))
+    with pytest.raises(ValueError, match=rf"record\.json is damaged .*{key}.*delete it"):
+        cache_module.read_record(path)
+    file.write_text(json.dumps([1]))
+    with pytest.raises(ValueError, match="delete it"):
+        cache_module.read_record(path)

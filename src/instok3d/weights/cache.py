@@ -1,7 +1,7 @@
 """The folder where weights lie on this machine, and whether they are what they should be."""
 
-import json
 import os
+import re
 import warnings
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from instok3d.errors import MissingWeightsError
 from instok3d.files import sha256_of, write_json
+from instok3d.reading import naming_damage, read_json, text, whole_number
 from instok3d.weights.catalogue import (
     HubFiles,
     PackageFile,
@@ -158,10 +159,19 @@ def read_record(path: Path) -> Record | None:
     file = record_place(path)
     if not file.is_file():
         return None
-    try:
-        return Record(**json.loads(file.read_text()))
-    except (json.JSONDecodeError, TypeError) as error:
-        raise ValueError(f"{file} is damaged, delete it: {error}") from error
+    remedy = "delete it"
+    value = read_json(file, remedy)
+    with naming_damage(file, remedy):
+        digest = text(value["sha256"])
+        if not re.fullmatch("[0-9a-f]{64}", digest):
+            raise ValueError(f"{digest[:80]!r} is no SHA-256")
+        return Record(
+            sha256=digest,
+            bytes=whole_number(value["bytes"]),
+            modified_ns=whole_number(value["modified_ns"]),
+            origin=text(value["origin"]),
+            recorded=text(value["recorded"]),
+        )
 
 
 def record_place(path: Path) -> Path:

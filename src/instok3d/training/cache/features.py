@@ -5,7 +5,6 @@ samples of it, by the samples' keys, for the kinds of input that the run needs.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -18,10 +17,9 @@ from torch import Tensor, nn
 
 from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.data.sample import Sample, photos_only
+from instok3d.training.cache.checks import check_answer, read_index
 from instok3d.types import Geometry, Views
 
-FORMAT = "instok3d-features-1"
-INDEX = "features.json"
 BACKBONE = "backbone.safetensors"
 SCENES = "scenes"
 
@@ -147,12 +145,15 @@ class FeatureCache:
                 f"{self.folder} has no features of sample {key} from {shown}; "
                 "make them with `instok3d train cache` and the settings of this run"
             )
-        size, wanted = found["depths"].shape[-2:], context.images.shape[-2:]
+        file_name = scene_path(self.folder, scene)
+        depths = found.get("depths", context.images)
+        size, wanted = depths.shape[-2:], context.images.shape[-2:]
         if size != wanted:
             raise ValueError(
                 f"sample {key} has images of {tuple(wanted)} pixels, its features in "
                 f"{self.folder} were made from {tuple(size)}"
             )
+        check_answer(found, self.settings, context.images.shape[1], f"{file_name}, sample {key},")
         return found
 
     def _open_scene(self, name: str) -> tuple[Any, dict[str, str], dict[str, list[str]]]:
@@ -167,7 +168,7 @@ class FeatureCache:
             file = safe_open(path, framework="pt")
             names: dict[str, list[str]] = {}
             for each in file.keys():  # noqa: SIM118
-                names.setdefault(each[: each.rindex("/") + 1], []).append(each)
+                names.setdefault(each[: each.rfind("/") + 1], []).append(each)
             return file, dict(file.metadata() or {}), names
         except (OSError, SafetensorError) as error:
             raise ValueError(
@@ -212,27 +213,6 @@ def _refuse_another_backbone(
             f"(sha256:{bytes(found.tolist()).hex()[:12]}) than those of its cache now "
             f"(sha256:{bytes(module.weights_sha256.tolist()).hex()[:12]})"
         )
-
-
-def read_index(folder: Path) -> dict[str, Any]:
-    """The index of a cache: format, settings, names of training and held-out scenes.
-
-    Raises:
-        FileNotFoundError: There is no cache.
-        ValueError: It is of another version, or damaged.
-    """
-    path = folder / INDEX
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{folder} holds no cached features (no {INDEX}); make them with `instok3d train cache`"
-        )
-    try:
-        index = json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
-        raise ValueError(f"{path} is no index of cached features of this version ({FORMAT})")
-    return index
 
 
 def scene_path(folder: Path, name: str) -> Path:

@@ -18,13 +18,11 @@ from instok3d.data.sample import Sample, collate, photos_only
 from instok3d.data.scenes import SceneSource
 from instok3d.files import write_json, write_safetensors
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.training.cache.checks import FORMAT, INDEX, read_index
 from instok3d.training.cache.features import (
     BACKBONE,
-    FORMAT,
-    INDEX,
     SCENES,
     FeatureCache,
-    read_index,
     scene_path,
     split_key,
 )
