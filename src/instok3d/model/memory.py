@@ -1,7 +1,7 @@
-"""How much memory a model will take, from its sizes alone: asked before anything is loaded.
+"""Prediction of the peak memory of a model from its sizes, before anything is loaded.
 
-The figures count the tensors that are alive at the worst moment of each part and were then held
-against measured peaks (docs/models.md): never below, at most a quarter above.
+Each part counts the tensors that are alive at its peak. The predictions were compared with measured
+peaks (docs/models.md): they are never below, and at most a quarter above.
 """
 
 import warnings
@@ -22,28 +22,33 @@ from instok3d.model.views.windows import window_lengths
 from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000
-"""Python, torch and the other libraries of a command, with what they allocate once (CPU only)."""
+"""Python, torch and the other libraries of a command, with their own allocations (CPU only)."""
 LEARNING_BYTES = 100_000_000
-"""What training allocates once, beyond the tensors that are counted."""
+"""Allocations of training that do not grow with the work and are not counted elsewhere."""
 SCENE_BYTES = 500
-"""A pixel of a photo: id maps, previews and the heap's gaps behind a tokenizer."""
+"""Per pixel of a photo: id maps, previews and fragmentation of the heap after a tokenizer."""
 LOADING = 2.1
-"""While weights are loaded they are there twice: in the model and as they were read."""
+"""Copies of the weights while they are loaded: in the model and as read from the file."""
 MOST_VIEWS = 512
-"""Larger counts are not looked for."""
+"""Upper limit of the search for the largest number of views."""
 
 
 def predict_peak_bytes(
     backbone: BackboneConfig, tokenizer: TokenizerConfig | None, work: Work
 ) -> int:
-    """Most memory that a command holds at once when it does this with models of these sizes.
+    """Predicted peak memory of a command that does this work with models of these sizes.
 
-    For the CPU, with what Python and the libraries take; nothing is loaded or computed.
+    For the CPU, including Python and the libraries. Nothing is loaded or computed.
+
+    1. Weights, with narrow copies under autocast.
+    2. Results of all parts, which are kept, and the largest peak of a part while it runs.
+    3. In training: gradients, optimizer state, and the activations stored for the backward pass.
+    4. The peak is the larger one of loading the weights and running.
 
     Args:
         backbone: Config of a registered backbone.
         tokenizer: Sizes of the tokenizer behind it; None for a backbone alone.
-        work: How many views of which size, in which type, and whether it is to learn.
+        work: Number and size of the views, type of the activations, and whether it trains.
 
     Raises:
         ValueError: The backbone is of no registered kind.
@@ -56,7 +61,7 @@ def predict_peak_bytes(
         parts.append(tokenizer_activations(backbone, tokenizer, work))
     weights = FLOAT * whole
     if work.dtype != torch.float32:
-        weights += work.narrow * whole  # autocast keeps narrow copies of the weights
+        weights += work.narrow * whole  # copies that autocast keeps
     running = weights + sum(part.result for part in parts) + max(part.peak for part in parts)
     if work.training:
         trained = own if work.frozen_backbone and tokenizer is not None else whole
@@ -72,7 +77,7 @@ def predict_peak_bytes(
 def largest_view_count(
     backbone: BackboneConfig, tokenizer: TokenizerConfig | None, work: Work, limit_bytes: int
 ) -> int:
-    """Most views of a scene with which this work is predicted to fit; 0 if not even one does."""
+    """Largest number of views of a scene that is predicted to fit; 0 if a single view does not."""
     return _most_views(
         lambda views: predict_peak_bytes(backbone, tokenizer, replace(work, views=views)),
         limit_bytes,
@@ -99,21 +104,21 @@ def check_memory(
     advice: str = "take fewer views",
     first: tuple[BackboneConfig, Work] | None = None,
 ) -> int:
-    """Refuse work that is predicted not to fit; gives the prediction, bytes.
+    """Predicted peak in bytes; refuses work that is predicted not to fit.
 
-    Where the system does not say what is free, nothing is refused.
+    Nothing is refused where the system does not report its free memory.
 
     Args:
         backbone: Config of a registered backbone.
         tokenizer: Sizes of the tokenizer; None for a backbone alone.
-        work: What is to be done.
-        device: Where.
-        advice: What the user can do about the number of views.
+        work: The work to be done.
+        device: Device that it runs on.
+        advice: How the user can reduce the number of views.
         first: Another backbone that runs before, beside the weights of the model, and is gone when
             the model runs; it sees the same number of views.
 
     Raises:
-        NotEnoughMemoryError: Says what is needed, what is there and how many views would fit.
+        NotEnoughMemoryError: States what is needed, what is free and how many views would fit.
     """
 
     def of_model(views: int) -> int:
@@ -147,21 +152,21 @@ def check_memory(
 def refuse_beyond(
     needed: int, *, what: str, device: str | torch.device, remedy: Callable[[int], str]
 ) -> None:
-    """Refuse what needs more memory than there is; nothing where the system does not say.
+    """Raise an error for work that needs more memory than is free, if the system reports that.
 
     Args:
         needed: Predicted peak, bytes.
-        what: What needs it, plural.
-        device: Where.
-        remedy: What to do instead with so many bytes.
+        what: Description of the work, in the plural.
+        device: Device that it runs on.
+        remedy: Gives advice for a limit in bytes.
 
     Raises:
-        NotEnoughMemoryError: Says what is needed and what is there.
+        NotEnoughMemoryError: States what is needed and what is free.
     """
     free = available_bytes(device)
     if free is None:
         return
-    # What this process has already is not asked for again.
+    # The prediction includes memory that this process already holds.
     limit = free + (resident_bytes() if torch.device(device).type == "cpu" else PROCESS_BYTES)
     if needed > limit:
         raise NotEnoughMemoryError(
@@ -174,25 +179,25 @@ def refuse_beyond(
 def count_parameters(
     backbone: BackboneConfig, tokenizer: TokenizerConfig | None
 ) -> tuple[int, int]:
-    """Numbers in the whole model and in all but its backbone; no memory is taken for them."""
+    """Parameters of the whole model, and of all but its backbone; allocates nothing for them."""
     network = _outline(backbone)
     if tokenizer is None:
         return network.numbers, 0
     with on_paper():
-        behind = Tokenizer(_Stand(network), tokenizer)
+        behind = Tokenizer(_StandIn(network), tokenizer)
     own = sum(parameter.numel() for parameter in behind.parameters())
     return network.numbers + own, own
 
 
-class _Stand(GeometryBackbone):
-    """Stands in for a backbone where a tokenizer is counted."""
+class _StandIn(GeometryBackbone):
+    """Stands in for a backbone while the parameters of a tokenizer are counted."""
 
     def __init__(self, outline: Outline) -> None:
         super().__init__()
         self.patch_size, self.feature_channels = outline.patch_size, outline.feature_channels
 
     def forward(self, views: Views) -> Geometry:
-        raise NotImplementedError("what stands in for a backbone cannot be run")
+        raise NotImplementedError("a stand-in for a backbone cannot be run")
 
 
 @lru_cache
@@ -207,9 +212,10 @@ def _outline(backbone: BackboneConfig) -> Outline:
 
 
 def backbone_activations(config: BackboneConfig, work: Work) -> Activations:
-    """What a backbone holds while it runs; of one that does not say, its result alone.
+    """Memory of a backbone while it runs.
 
-    That is said in a warning: the work may then need more than is predicted.
+    A kind that is registered without activations counts only with its result; a warning says that
+    more may be needed than is predicted.
     """
     kind = kind_of(config)
     if kind.activations is not None:
@@ -227,7 +233,7 @@ def backbone_activations(config: BackboneConfig, work: Work) -> Activations:
 def tokenizer_activations(
     backbone: BackboneConfig, config: TokenizerConfig, work: Work
 ) -> Activations:
-    """What the tokenizer holds while it runs, in one go or window by window."""
+    """Memory of the tokenizer while it runs, on all views at once or window by window."""
     size = config.window_views
     if not size or work.views <= size:
         return _tokens_at_once(backbone, config, work)
@@ -246,7 +252,7 @@ def tokenizer_activations(
 
 
 def _tokens_at_once(backbone: BackboneConfig, config: TokenizerConfig, work: Work) -> Activations:
-    """By the patch, by the anchor, by the Gaussian."""
+    """Memory of the tokenizer on all views at once, counted per patch, anchor and Gaussian."""
     network = _outline(backbone)
     channels, patches = network.feature_channels, work.pixels // network.patch_size**2
     anchors = min(work.batch * config.num_anchors, patches)
@@ -267,7 +273,7 @@ def _tokens_at_once(backbone: BackboneConfig, config: TokenizerConfig, work: Wor
 
 
 def _rendering(tokenizer: TokenizerConfig | None, work: Work) -> int:
-    """Renders with their features and gradients; LPIPS keeps 25 maps of the image a photo."""
+    """Renders with features and gradients; LPIPS stores 450 values per pixel of each image."""
     channels = 5 + (tokenizer.num_groups if tokenizer else 0)
     pixels = work.batch * work.targets * work.height * work.width
     return pixels * FLOAT * (4 * channels + (2 * 450 if work.lpips else 0))
