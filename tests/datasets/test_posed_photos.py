@@ -72,7 +72,7 @@ def test_each_pixel_shows_what_its_ray_meets_in_the_photo(tmp_path, lens):
     y = (i - frame.intrinsics[1, 2]) / frame.intrinsics[1, 1]
     x, y = bend(x, y, lens)
     column, row = 90.0 * x + 66.3, 92.0 * y + 46.8
-    inner = (slice(2, -2), slice(2, -2))  # at the rim the filter has one side only
+    inner = (slice(2, -2), slice(2, -2))  # at the border the filter has one side only
     assert np.abs(frame.image[inner][..., 0] - 1.9 * column[inner]).max() < 2
     assert np.abs(frame.image[inner][..., 1] - 2.5 * row[inner]).max() < 2
     off_by = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]  # pixels of the photo, at most

@@ -9,7 +9,7 @@ from pathlib import Path
 GSPLAT = "1.5.3"
 """As in pyproject.toml."""
 DEFAULT_VIEWS = 16
-"""What `instok3d reconstruct` takes at most unless told otherwise."""
+"""What `instok3d reconstruct` takes at most by default."""
 OPTIONAL = {
     "embreex": ("rooms", "making training rooms"),
     "mitsuba_oidn": ("rooms", "training rooms with little noise"),

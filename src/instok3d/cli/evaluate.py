@@ -70,11 +70,11 @@ def run(
             of prepared scenes, from `instok3d data prepare`; or a capture, photos with their
             cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
         model: A model file instead of the default model.
-        geometry: predicted: bare photos. intrinsics: the model is told the true intrinsics too.
+        geometry: predicted: bare photos. intrinsics: the model is also given the true intrinsics.
             given: it gets true cameras and depth. None: predicted for rooms and captures;
             intrinsics for the others, as in the paper.
         target_cameras: Where targets are rendered. true: at their true cameras. aligned: these,
-            brought into the predicted world. auto: true for a model that is told the intrinsics
+            brought into the predicted world. auto: true for a model that is given the intrinsics
             and learned to answer in the unit of the scenes, aligned for others.
         scenes: Only the first so many rooms or scenes.
         targets_per_scene: How many i of each room (rooms-2view), 3 as a rule; the most targets of
@@ -84,7 +84,7 @@ def run(
             those that come with the package (docs/formats.md).
         index: The evaluation index of RealEstate10K, a JSON file (re10k-2view).
         all_targets: Every eighth-frame target of a scene, not its middle one (mipnerf360-2view).
-        split: Which prepared scenes; rooms are told by their seeds.
+        split: Which prepared scenes; rooms are split by their seeds.
         pose_alignment_steps: Fit each target camera to the target photo first; off as a rule. For
             captures these are figures beside the others, by 25 steps as a rule; 0 leaves them out.
         refine: Steps in which the Gaussians are optimised on the context photos first, as

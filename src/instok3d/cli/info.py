@@ -92,13 +92,13 @@ def refinement_line(done: "RefinementRecord") -> str:
 def axes(scene: "Scene") -> str:
     """The axes of the world, and which way is up as far as that is known."""
     vertical = scene.vertical
-    trust = f"within 15 degrees with probability {vertical.confidence:.2f}"
+    certainty = f"within 15 degrees with probability {vertical.confidence:.2f}"
     if scene.frame == "first camera":
-        return f"x right, y down, z forward; -y is up {trust}"
+        return f"x right, y down, z forward; -y is up {certainty}"
     if not vertical.is_stated:
         return "with their axes; the cameras do not tell which way is up"
     up = ", ".join(f"{value:.3g}" for value in vertical.up)
-    return f"with their axes; up is ({up}) by how they are turned, {trust}"
+    return f"with their axes; up is ({up}) by how they are turned, {certainty}"
 
 
 def print_json(value: dict[str, Any]) -> None:

@@ -36,7 +36,7 @@ class CacheArguments:
     """Folder of the cache. Scenes that are there already are kept."""
     preset: str = "nano-tokenizer"
     """The preset of the run that is to read the cache. Settings given beside it change it, except
-    that one which is nano-tokenizer's own cannot be told from one not given."""
+    that one which is nano-tokenizer's own cannot be distinguished from one not given."""
     backbone: str | None = None
     """As for a run: name of another backbone than the preset's."""
     feature_type: FeatureType = "float16"

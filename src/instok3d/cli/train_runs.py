@@ -34,7 +34,7 @@ class RunArguments:
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
     resume: bool = False
     """Go on from the newest checkpoint with the settings of the run; those given here change
-    them, except that one which is the preset's own cannot be told from one not given."""
+    them, except that one which is the preset's own cannot be distinguished from one not given."""
     add_scenes: bool = False
     """On resuming, also train on the scenes that the folder has gained since the run began."""
     init_from: Path | None = None
@@ -150,7 +150,7 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
 
 
 def _first_weights(config: TrainConfig) -> Path | None:
-    """Where a new run begins that was not told; None: with random weights."""
+    """Where a new run begins by default; None: with random weights."""
     first = config.stage.first_weights()
     if first.published:
         return weights_path(first.published)

@@ -13,8 +13,8 @@ def photometric_change(
 ) -> tuple[Float[Tensor, "context 3 height width"], Float[Tensor, "target 3 height width"]]:
     """The images of one scene in other light: one gain, contrast and white balance for all views.
 
-    Targets change with the contexts, or a render could not be told from the photos it is made
-    of. Noise is added to the context alone: nobody wants noise rendered. Results stay in [0, 1].
+    Targets change with the contexts, or a render could not be predicted from its photos.
+    Noise is added to the context alone: nobody wants noise rendered. Results stay in [0, 1].
     """
     gain = float(np.exp(rng.normal(0.0, 0.15)))
     white_balance = torch.from_numpy(np.exp(rng.normal(0.0, 0.05, 3))).float().view(3, 1, 1)

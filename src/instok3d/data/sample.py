@@ -29,7 +29,7 @@ class Sample:
     names: tuple[str, ...]
     """Where each sample came from, for messages and pictures."""
     keys: tuple[str, ...] = ()
-    """One for each sample that can be told from all others of its data set and comes again:
+    """One for each sample that is distinguishable from all others of its data set and comes again:
     scene/views/number. Empty where frames are drawn anew every time."""
     frames: tuple[FrameChoice, ...] = ()
     """Which frames of its scene each sample holds; empty where nobody said."""

@@ -144,13 +144,13 @@ def _alignment_note(report: EvaluationReport) -> str:
 
 
 def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
-    """What the model was told, where targets were rendered, how far off cameras and depth are."""
+    """What the model was given, where targets were rendered, errors of cameras and depth."""
     figures, true = report.figures, report.true_targets
     if report.settings.geometry == "given":
         return ["Cameras and depth were given: their errors are not measured."]
     lines = []
     if report.settings.geometry == "intrinsics":
-        lines.append("The model was told the intrinsics of the photos.")
+        lines.append("The model was conditioned on the intrinsics of the photos.")
     if true:
         which = "Targets" if true == figures.scenes else f"Targets of {true} {word}"
         lines.append(f"{which} were rendered at their true cameras, in the unit of the data.")

@@ -25,8 +25,8 @@ class EvaluationSettings:
     geometry: GeometryMode = "predicted"
     """What the model sees beside the photos."""
     target_cameras: Literal["auto", TargetCameras] = "auto"
-    """Where targets are rendered. auto: at the true cameras for a model that is told the intrinsics
-    and answers in the unit of the scene; brought into the predicted world for others."""
+    """Where targets are rendered. auto: at the true cameras for a model that is given the
+    intrinsics and answers in the unit of the scene; brought into the predicted world for others."""
     model_unit: Unit | None = None
     """In which the model answers; None where it learned no unit."""
     pose_alignment_steps: int = 0
@@ -57,8 +57,8 @@ class EvaluationSettings:
         """Where the targets of a scene are rendered."""
         if self.target_cameras != "auto":
             return self.target_cameras
-        told = self.geometry == "intrinsics" and self.model_unit == scene.unit
-        return "true" if told or self.geometry == "given" else "aligned"
+        same_unit = self.geometry == "intrinsics" and self.model_unit == scene.unit
+        return "true" if same_unit or self.geometry == "given" else "aligned"
 
 
 @dataclass(frozen=True)

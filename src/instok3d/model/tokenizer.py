@@ -10,7 +10,7 @@ from instok3d.model.context import ContextFusion
 from instok3d.model.gaussian_head import GaussianHead, GaussianHeadConfig
 from instok3d.model.grouping import Assignment, GroupDecoder
 from instok3d.model.transformer import Decoder
-from instok3d.model.views.free_space import thin_out_free_space
+from instok3d.model.views.free_space import prune_free_space
 from instok3d.model.views.joining import collate_scenes, join_windows
 from instok3d.model.views.windows import cut_window, middle_windows, view_windows
 from instok3d.types import Geometry, TokenGroups, Views
@@ -133,7 +133,7 @@ class Tokenizer(nn.Module):
             groups = self.tokenize(views, seen)
         else:
             groups = self._tokenize_windows(views, seen, size)
-        return thin_out_free_space(groups) if self.config.thin_free_space else groups
+        return prune_free_space(groups) if self.config.thin_free_space else groups
 
     def tokenize(self, views: Views, seen: Geometry, *, draw: bool = True) -> TokenGroups:
         """All views at once, one line for each arrow of Fig. 2(a).

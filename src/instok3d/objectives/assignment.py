@@ -1,4 +1,4 @@
-"""The assignment loss: anchors are told the instances of the photos that they were taken from.
+"""The assignment loss: anchors are supervised by the instances of the pixels they come from.
 
 Not in the paper, which supervises rendered maps alone. A rendered map says little to a group whose
 anchors lie a few pixels off, as they do with predicted geometry, and groups without a partner may

@@ -267,7 +267,7 @@ def _is_number(word: str) -> bool:
 
 
 def _check_promise(text: str, count: int, what: str) -> None:
-    """COLMAP writes how many there are into a comment, by which a cut file can be told."""
+    """COLMAP writes how many there are into a comment, which reveals a truncated file."""
     promised = re.search(rf"^#\s*Number of {what}: (\d+)", text, re.MULTILINE)
     if promised is not None and count < int(promised[1]):
         raise ValueError(f"it says that it holds {promised[1]} {what}, but lists {count}")

@@ -55,7 +55,7 @@ class Distortion:
     def largest_shift(self, intrinsics: Float[Tensor, "3 3"], height: int, width: int) -> float:
         """How far the lens moves any pixel of height x width, in image diagonals.
 
-        Measured on a grid from rim to rim: terms may cancel at the corners alone.
+        Measured on a grid from edge to edge: terms may cancel at the corners alone.
         """
         x = torch.linspace(0, width, _SAMPLES, dtype=intrinsics.dtype)
         y = torch.linspace(0, height, _SAMPLES, dtype=intrinsics.dtype)

@@ -108,7 +108,7 @@ def load_photos(
         width: Of the model's image.
         max_views: Of more photos, this many are chosen to cover all (`choose_views`).
         max_pixels: Larger photos are refused from their header.
-        fit: crop fills the square that the default model was trained on and loses the rim of
+        fit: crop fills the square that the default model was trained on and loses the border of
             the photo; letterbox keeps everything and adds grey bars.
         cameras: Must have a camera for every photo.
 
@@ -200,8 +200,8 @@ def _remarks(photos: Sequence[DecodedPhoto]) -> list[str]:
     if max(lost) > _LOST_SHARE_TO_TELL:
         count = sum(share > _LOST_SHARE_TO_TELL for share in lost)
         remarks.append(
-            f"{count} of {len(photos)} photos lose up to {max(lost):.0%} of their area at the rim, "
-            "which does not fit into the model's image"
+            f"{count} of {len(photos)} photos lose up to {max(lost):.0%} of their area at the "
+            "border, which does not fit into the model's image"
         )
     small = [m for m in maps if max(m.scale_x, m.scale_y) > 1.0]
     if small:

@@ -10,7 +10,7 @@ from torch import Tensor
 from instok3d.geometry.cameras import resize_intrinsics
 
 Fit = Literal["crop", "letterbox"]
-"""crop: fill the model's image and lose the rim; letterbox: keep everything and add bars."""
+"""crop: fill the model's image and lose the border; letterbox: keep everything and add bars."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class PixelMap:
     scale_x: float
     scale_y: float
     offset_x: float
-    """Model pixels; negative where the rim was cropped, positive where a bar was added."""
+    """Model pixels; negative where the border was cropped, positive where a bar was added."""
     offset_y: float
 
     def to_model(self, points: Float[Tensor, "*point 2"]) -> Float[Tensor, "*point 2"]:

@@ -57,7 +57,7 @@ class Vertical:
 
     @property
     def is_stated(self) -> bool:
-        """Whether it is sure enough to be told to other programs."""
+        """Whether it is certain enough to be written for other programs."""
         return self.source == "first camera" or self.confidence >= STATED
 
 
@@ -70,7 +70,7 @@ def find_vertical(
     up is the direction that is most nearly perpendicular to the x axes of all cameras and, as far
     as that leaves it open, to their z axes. An axis of a given world that lies within the
     estimate's own error is taken to be exactly up: most worlds have one that is. The world of the
-    first camera has -y for up whatever it was pointed at; the estimate says how far to trust that.
+    first camera has -y for up whatever it was pointed at; the estimate says how likely that is.
     """
     up, deviation_rad = _estimate(cam_from_world)
     if source == "first camera":

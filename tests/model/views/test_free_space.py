@@ -1,4 +1,4 @@
-"""Gaussians that another view sees through: by hand, at rims, outside, and in the tokenizer."""
+"""Gaussians that another view sees through: by hand, at discontinuities, in the tokenizer."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import torch
 
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import PAPER, Tokenizer, TokenizerConfig
-from instok3d.model.views.free_space import KEPT, count_seen_through, thin_out_free_space
+from instok3d.model.views.free_space import KEPT, count_seen_through, prune_free_space
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups, Views
 from plane_backbone import PlaneBackbone, PlaneConfig
 
@@ -93,26 +93,26 @@ def test_each_vote_leaves_a_share_of_the_opacity_and_nothing_else_changes():
     # Four patches a view: anchors 0 and 1 lie on view 0 and view 2.
     geometry = walls(2.0, 2.0, 4.0)
     groups = groups_at(at((0, 0, 1.0), (0, 0, 3.0)), geometry, torch.tensor([[1, 9]]))
-    thinned = thin_out_free_space(groups)
+    pruned = prune_free_space(groups)
     # The first is looked through by views 1 and 2; the second lies behind the walls of 0 and 1.
     expected = torch.tensor([[0.8 * KEPT**2, 0.8]])
-    torch.testing.assert_close(thinned.gaussians.opacities, expected)
-    assert torch.equal(thinned.gaussians.means, groups.gaussians.means)
-    assert thinned.anchors is groups.anchors
+    torch.testing.assert_close(pruned.gaussians.opacities, expected)
+    assert torch.equal(pruned.gaussians.means, groups.gaussians.means)
+    assert pruned.anchors is groups.anchors
 
 
 def test_gradient_passes_through_the_opacities():
     opacities = torch.full((1, 1), 0.5, requires_grad=True)
     gaussians = replace(at((0, 0, 1.0)), opacities=opacities)
     groups = groups_at(gaussians, walls(2.0, 2.0), torch.tensor([[0]]))
-    thin_out_free_space(groups).gaussians.opacities.sum().backward()
+    prune_free_space(groups).gaussians.opacities.sum().backward()
     torch.testing.assert_close(opacities.grad, torch.full((1, 1), KEPT))
 
 
 def test_no_gaussians_are_none():
     nothing = Gaussians(**{name: value[:, :0] for name, value in vars(at((0, 0, 1.0))).items()})
     groups = groups_at(nothing, walls(2.0, 2.0), torch.zeros(1, 0, dtype=torch.long))
-    assert thin_out_free_space(groups).gaussians.opacities.shape == (1, 0)
+    assert prune_free_space(groups).gaussians.opacities.shape == (1, 0)
 
 
 SMALL = TokenizerConfig(
@@ -136,9 +136,9 @@ def test_the_tokenizer_thins_out_the_whole_scene_unless_told_not_to(rng, views):
     with torch.no_grad():
         geometry = tokenizer.backbone(photos)
         geometry.depths[:, 0] *= 3  # view 0 sees through all that the others see
-        thinned = tokenizer(photos, geometry)
+        pruned = tokenizer(photos, geometry)
         tokenizer.config = replace(SMALL, thin_free_space=False)
         whole = tokenizer(photos, geometry)
-    expected = thin_out_free_space(whole).gaussians.opacities
-    torch.testing.assert_close(thinned.gaussians.opacities, expected)
+    expected = prune_free_space(whole).gaussians.opacities
+    torch.testing.assert_close(pruned.gaussians.opacities, expected)
     assert (expected < whole.gaussians.opacities).any()

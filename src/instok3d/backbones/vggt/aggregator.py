@@ -62,8 +62,8 @@ class Aggregator(nn.Module):
 
         Args:
             images: sRGB in [0, 1]; sides are multiples of the patch size.
-            intrinsics: Pixels of these images; None is told to the network as zeros, and only
-                where it has the intrinsics token.
+            intrinsics: Pixels of these images; None is encoded as zeros. Ignored where the
+                network has no intrinsics token.
             layers: Which pairs, 0 to depth - 1. Fewer take less memory, not less time.
         """
         views, _, height, width = images.shape[1:]

@@ -35,7 +35,7 @@ class VGGTBackbone(GeometryBackbone):
     what its authors recommend for the model as it was published.
 
     Given cameras or depths stand in for the prediction; the points are then unprojected. Given
-    intrinsics are told to the network if it has the intrinsics token.
+    the network is conditioned on the intrinsics if it has the intrinsics token.
     """
 
     def __init__(self, config: VGGTConfig) -> None:

@@ -29,7 +29,7 @@ class TrackedMask:
 
 @runtime_checkable
 class MaskProposer(Protocol):
-    """Finds the things in an image, without being told where."""
+    """Finds the things in an image without prompts."""
 
     def propose(self, image: UInt8[np.ndarray, "height width 3"], /) -> ProposedMasks:
         """The masks of one sRGB image."""

@@ -103,7 +103,7 @@ def label(
         model: Proposes and tracks masks.
         config: Everything else; stands in masks.json.
         overwrite: Replace id maps that are there, whatever made them.
-        progress: Is told after each frame how many there are more, 1.
+        progress: Called after each frame with the number of frames done since the last call, 1.
 
     Raises:
         FileExistsError: The target is there and no folder of id maps.

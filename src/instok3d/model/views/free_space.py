@@ -17,7 +17,7 @@ from instok3d.types import Gaussians, Geometry, TokenGroups
 
 IN_FRONT = 0.04
 """A Gaussian is contradicted if it is nearer than the surface by this share of its depth."""
-RIM_PX = 1
+DISCONTINUITY_PX = 1
 """All depths within so many pixels must lie behind the Gaussian: near a depth discontinuity the
 ray may hit either side."""
 KEPT = 0.3
@@ -26,7 +26,7 @@ NEAREST = 1e-6
 """Depth in scene units below which a Gaussian counts as behind the camera."""
 
 
-def thin_out_free_space(groups: TokenGroups) -> TokenGroups:
+def prune_free_space(groups: TokenGroups) -> TokenGroups:
     """The scene with every opacity multiplied by KEPT for each view that sees through it.
 
     The view that a Gaussian comes from does not count. Runs in float32, also under autocast.
@@ -53,7 +53,9 @@ def count_seen_through(
     """
     _, count, height, width = geometry.depths.shape
     # Minimum filter: the nearest surface around each pixel.
-    nearest = -functional.max_pool2d(-geometry.depths.float(), 2 * RIM_PX + 1, 1, RIM_PX)
+    nearest = -functional.max_pool2d(
+        -geometry.depths.float(), 2 * DISCONTINUITY_PX + 1, 1, DISCONTINUITY_PX
+    )
     through = torch.zeros_like(gaussians.opacities, dtype=torch.float32)
     size = torch.tensor([width, height], device=source.device)
     for view in range(count):

@@ -247,9 +247,9 @@ def _as_prediction(geometry: Geometry) -> Prediction:
 
 def _check_given(backbone: GeometryBackbone, sample: Sample, config: TrainConfig) -> None:
     """Fail where the network looks at given cameras and depth: its answer is not rebuilt then."""
-    told = _answer(backbone, photos_only(sample.context, keep_intrinsics=True), config)
+    answer = _answer(backbone, photos_only(sample.context, keep_intrinsics=True), config)
     given = _answer(backbone, sample.context, config)
-    rebuilt = settle_geometry(sample.context, _as_prediction(told))
+    rebuilt = settle_geometry(sample.context, _as_prediction(answer))
     for name in ("features", "pointmaps"):
         wanted, found = getattr(given, name).float(), getattr(rebuilt, name).float()
         if (wanted - found).abs().mean() > 1e-2 * wanted.abs().mean():

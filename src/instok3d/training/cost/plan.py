@@ -1,4 +1,4 @@
-"""What a run would do and take, told without doing it: `instok3d train ... --dry-run`."""
+"""What a run would do and take, printed without doing it: `instok3d train ... --dry-run`."""
 
 from dataclasses import dataclass
 from pathlib import Path

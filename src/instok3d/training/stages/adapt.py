@@ -58,7 +58,7 @@ class AdaptStageConfig(StageConfig):
     pointmap depends get no gradient and are best left out."""
     head: PixelGaussianConfig = field(default_factory=PixelGaussianConfig)
     intrinsics_probability: float = 1.0
-    """Share of the steps in which the backbone is told the intrinsics; the paper always does."""
+    """Share of the steps in which the backbone gets the intrinsics; in the paper always."""
     target_cameras: TargetCameras = "true"
     """true: pointmaps must come into the unit of the true cameras, which is what the stage is for.
     aligned: cameras are brought into the predicted world instead."""
@@ -160,8 +160,10 @@ class AdaptStage:
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
         """MSE + LPIPS at the target views, which with two contexts are these and a new one."""
         config = self.config
-        told = bool(np.random.default_rng([5, step]).random() < config.intrinsics_probability)
-        _, rendering = self._run(model, sample, told=told)
+        with_intrinsics = bool(
+            np.random.default_rng([5, step]).random() < config.intrinsics_probability
+        )
+        _, rendering = self._run(model, sample, with_intrinsics=with_intrinsics)
         images = sample.target.images
         lpips = self.lpips.to(images.device) if self.lpips else None
         loss = rendering_loss(
@@ -176,7 +178,9 @@ class AdaptStage:
         """PSNR; with true depth also the pointmaps' unit (1 is right) and error after scaling."""
         quality, units, errors = [], [], []
         for sample in samples:
-            scene, rendering = self._run(model, sample, told=self.config.intrinsics_probability > 0)
+            scene, rendering = self._run(
+                model, sample, with_intrinsics=self.config.intrinsics_probability > 0
+            )
             quality.append(psnr(rendering.colors, sample.target.images).flatten())
             depths = sample.context.depths
             for k, points in enumerate(scene.geometry.pointmaps[:, 0].float()):
@@ -193,7 +197,9 @@ class AdaptStage:
 
     def pictures(self, model: nn.Module, sample: Sample) -> Image:
         """First and last context, a target, its render, and depth of the pointmap and render."""
-        scene, rendering = self._run(model, sample, told=self.config.intrinsics_probability > 0)
+        scene, rendering = self._run(
+            model, sample, with_intrinsics=self.config.intrinsics_probability > 0
+        )
         rows = []
         for k in range(len(sample.names)):
             own = scene.geometry.pointmaps[k, 0, ..., 2].float()
@@ -210,8 +216,10 @@ class AdaptStage:
         titles = ["first", "last", "target", "render", "depth of first", "depth of target"]
         return contact_sheet(titled_rows(rows, titles))
 
-    def _run(self, model: nn.Module, sample: Sample, *, told: bool) -> tuple[PixelScene, Rendering]:
-        scene: PixelScene = model(photos_only(sample.context, keep_intrinsics=told))
+    def _run(
+        self, model: nn.Module, sample: Sample, *, with_intrinsics: bool
+    ) -> tuple[PixelScene, Rendering]:
+        scene: PixelScene = model(photos_only(sample.context, keep_intrinsics=with_intrinsics))
         target = sample.target
         with torch.autocast(target.images.device.type, enabled=False):
             cameras = cameras_of_targets(

@@ -28,7 +28,7 @@ class GeometryStageConfig(StageConfig):
 
     backbone: NanoConfig = field(default_factory=NanoConfig)
     intrinsics_probability: float = 0.5
-    """Share of the steps in which the network is told the intrinsics."""
+    """Share of the steps in which the network gets the intrinsics."""
     trained: Literal["network", "refinement"] = "network"
     """refinement: only the correction of depth by parallax, the network stays as it is."""
 
@@ -92,13 +92,15 @@ class GeometryStage:
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
         """The loss on the context views: of the network's answers, or of the refined depth."""
         assert isinstance(model, NanoBackbone)
-        told = np.random.default_rng([3, step]).random() < self.config.intrinsics_probability
-        loss = self._compare(model, sample.context, told=told)
+        with_intrinsics = (
+            np.random.default_rng([3, step]).random() < self.config.intrinsics_probability
+        )
+        loss = self._compare(model, sample.context, with_intrinsics=with_intrinsics)
         terms = {f.name: getattr(loss, f.name).detach() for f in fields(loss) if f.name != "total"}
         return StepLoss(loss.total, terms)
 
-    def _compare(self, model: NanoBackbone, context: Views, *, told: bool) -> DepthLoss:
-        photos = photos_only(context, keep_intrinsics=told)
+    def _compare(self, model: NanoBackbone, context: Views, *, with_intrinsics: bool) -> DepthLoss:
+        photos = photos_only(context, keep_intrinsics=with_intrinsics)
         if self.config.trained == "refinement":
             assert context.depths is not None
             with torch.no_grad():
@@ -120,7 +122,7 @@ class GeometryStage:
             assert context.depths is not None
             assert context.cam_from_world is not None
             geometry = model(photos_only(context))
-            losses.append(self._compare(model, context, told=False).total.item())
+            losses.append(self._compare(model, context, with_intrinsics=False).total.item())
             for scene in range(len(context.images)):
                 errors = depth_errors(geometry.depths[scene], context.depths[scene])
                 depth.append(errors.scaled)

@@ -148,11 +148,11 @@ class TokenizerStageConfig(StageConfig):
         """The backbone as the steps ask it; None where it learns."""
         if not self.freeze_backbone:
             return None
-        told = max(self.given_probability, self.intrinsics_probability) > 0
+        with_intrinsics = max(self.given_probability, self.intrinsics_probability) > 0
         bare = self.given_probability < 1 and self.intrinsics_probability < 1
         return FrozenBackbone(
             config=self.backbone,
-            inputs=(("photos",) if bare else ()) + (("intrinsics",) if told else ()),
+            inputs=(("photos",) if bare else ()) + (("intrinsics",) if with_intrinsics else ()),
             given=self.given_probability > 0,
         )
 
