@@ -58,6 +58,11 @@ def test_thresholds_out_of_order_are_refused():
         RasterSettings(alpha_min=0.9, alpha_max=0.5)
     with pytest.raises(ValueError, match="transmittance_min"):
         RasterSettings(transmittance_min=1.0)
+    with pytest.raises(ValueError, match="alpha_max < 1"):
+        RasterSettings(alpha_max=1.0)
+    with pytest.raises(ValueError, match="eps2d must not be negative"):
+        RasterSettings(eps2d=-0.1)
+    assert RasterSettings(eps2d=0.0).eps2d == 0
 
 
 def test_gsplat_asks_for_a_cuda_device_and_for_its_own_thresholds(make_scene):

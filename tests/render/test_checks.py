@@ -69,6 +69,11 @@ def test_a_picture_that_no_memory_holds_is_refused_before_any_is_asked_for(make_
         render(gaussians, cameras, checks.MAX_PIXELS, 2)
 
 
+def test_the_largest_picture_and_planes_that_touch_are_accepted():
+    checks.check_picture(8192, 8192, 0.0, 0.0)
+    checks.check_picture(1, 1, 2.0, float("inf"))
+
+
 @pytest.mark.parametrize("dtype", [torch.bool, torch.complex64])
 def test_an_anchor_index_that_does_not_count_is_refused(make_scene, dtype: torch.dtype):
     gaussians, cameras = make_scene(count=5, dtype=torch.float32)
@@ -162,23 +167,50 @@ def test_a_frame_of_another_scene_is_refused_in_the_backward_pass(make_scene):
         )  # fmt: skip
 
 
-@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
-def test_a_frame_drawn_with_other_anchors_is_refused_in_the_backward_pass(make_scene):
-    gaussians, cameras = make_scene(batch=1, count=5, anchors=7, dtype=torch.float32)
-    arrays = [
+def sized_arrays(make_scene, *, scenes=1, views=2, degree=1, anchors=7, channels=2) -> list:
+    """What the kernels take before the settings; no features where channels is None."""
+    gaussians, cameras = make_scene(
+        batch=scenes, views=views, count=5, anchors=3, degree=degree, dtype=torch.float32
+    )
+    features = torch.zeros(scenes, anchors, channels) if channels is not None else None
+    return [
         gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
-        gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics,
+        gaussians.anchor_index, cameras.cam_from_world, cameras.intrinsics, features,
     ]  # fmt: skip
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"scenes": 2}, {"views": 3}, {"degree": 0}, {"anchors": 3}, {"channels": 3},
+        {"channels": None},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_frame_drawn_from_other_sizes_is_refused_in_the_backward_pass(make_scene, other: dict):
     settings = _rasterizer.Settings(8, 8, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0)
-    features = torch.zeros(1, 7, 2)
-    drawn = _rasterizer.forward(*arrays, features, settings, "auto", 1)
-    bare = _rasterizer.forward(*arrays, None, settings, "auto", 1)
-    for frame, rows in ((drawn[0], 3), (bare[0], 7)):
-        with pytest.raises(ValueError, match="the frame was drawn from inputs of other sizes"):
-            _rasterizer.backward(
-                frame, *arrays, features[:, :rows].contiguous(), settings, *drawn[1:], None, None,
-                None, torch.ones(1, 2, 2, 8, 8), "auto", 1,
-            )  # fmt: skip
+    arrays = sized_arrays(make_scene)
+    _, *images = _rasterizer.forward(*arrays, settings, "auto", 1)
+    frame, *_ = _rasterizer.forward(*sized_arrays(make_scene, **other), settings, "auto", 1)
+    with pytest.raises(ValueError, match="the frame was drawn from inputs of other sizes"):
+        _rasterizer.backward(
+            frame, *arrays, settings, *images, None, None, None, torch.ones(1, 2, 2, 8, 8), "auto",
+            1,
+        )  # fmt: skip
+
+
+@pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")
+@pytest.mark.parametrize("number", [-1, 7, 2**40])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_kernels_themselves_refuse_an_anchor_without_features(
+    make_scene, number: int, threads: int
+):
+    settings = _rasterizer.Settings(8, 8, 0.05, 100.0, 0.3, 1 / 255, 0.99, 1e-4, 0.0, 0.0, 0.0)
+    arrays = sized_arrays(make_scene)
+    arrays[5][0, 4] = number
+    with pytest.raises(IndexError, match="anchor_index has a number without a row"):
+        _rasterizer.forward(*arrays, settings, "auto", threads)
 
 
 @pytest.mark.skipif(_rasterizer is None, reason="the kernels are not built")

@@ -108,6 +108,13 @@ def test_values_and_gradients_are_those_of_the_reference(make_scene, rng, case, 
     assert_near(actual[1], expected[1], tolerance=5e-5)
 
 
+def test_gradients_of_more_gaussians_than_a_task_takes_are_those_of_the_reference(make_scene):
+    gaussians, cameras = make_scene(count=2100, degree=1, height=12, width=16)
+    expected = run(gaussians, cameras, 12, 16, backend="reference")
+    actual = run(gaussians, cameras, 12, 16, backend="native")
+    assert_near(actual[1], expected[1], tolerance=5e-5)
+
+
 def test_gradient_of_one_image_alone_is_that_of_the_reference(make_scene, rng):
     gaussians, cameras = make_scene(count=100, height=24, width=32)
     features = torch.randn(7, 3, generator=rng, dtype=torch.float64)
@@ -197,6 +204,32 @@ def test_a_gaussian_with_a_non_finite_number_is_as_if_it_were_not_there(make_sce
             assert found[:bad].count_nonzero() == 0
             found = found[bad:]
         torch.testing.assert_close(found, value)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+def test_a_nan_at_any_place_is_one_gaussian_less(make_scene, backend):
+    gaussians, cameras = make_scene(count=60, degree=1)
+    places = [
+        (name, column)
+        for name, value in vars(gaussians).items()
+        if value.is_floating_point()
+        for column in range(value[0].numel())
+    ]
+    for row, (name, column) in enumerate(places):
+        getattr(gaussians, name)[row].view(-1)[column] = torch.nan
+    expected = run(gaussians.rows(slice(len(places), None)), cameras, 24, 32, backend=backend)
+    actual = run(gaussians, cameras, 24, 32, backend=backend)
+    torch.testing.assert_close(actual[0], expected[0])
+    assert all(grad.isfinite().all() for grad in actual[1].values())
+
+
+def test_a_second_derivative_is_refused(make_scene):
+    gaussians, cameras = make_scene(count=5, dtype=torch.float32)
+    gaussians.means.requires_grad_()
+    picture = render(gaussians, cameras, 8, 8, backend="native").colors
+    (gradient,) = torch.autograd.grad(picture.square().sum(), gaussians.means, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])

@@ -53,8 +53,8 @@ def render(
         anchor_features: Composited through the anchors that the Gaussians came from (Sec. 3.2);
             group probabilities, for example.
         background: sRGB colour behind everything.
-        near: Gaussians whose mean is nearer than this z-depth are not drawn, scene units.
-        far: Nor are those farther than this.
+        near: Only Gaussians whose mean is farther than this z-depth are drawn, scene units.
+        far: And nearer than this.
         settings: Thresholds.
         backend: "auto" takes gsplat for CUDA tensors, else the native kernels where they are
             built and the tensors are not float64, else the PyTorch reference.
