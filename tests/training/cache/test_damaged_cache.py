@@ -134,6 +134,21 @@ def test_any_bytes_of_a_scene_are_refused_or_read(folder: Path):
         ({"depths": torch.ones(2, 16, 16, dtype=torch.long)}, "not finite"),
         ({"pointmaps": torch.ones(2, 16, 16)}, "pointmaps of the shape"),
         ({"other": torch.ones(1)}, "other of the shape"),
+        ({"depths": torch.full((2, 16, 16), -2.0)}, "depths below 0"),
+        ({"confidences": torch.full((2, 16, 16), -1.0)}, "confidences below 0"),
+        ({"cam_from_world": 2 * torch.eye(4).repeat(2, 1, 1)}, "view 0 has a pose whose last row"),
+        (
+            {"cam_from_world": torch.diag(torch.tensor([3.0, 1, 1, 1])).repeat(2, 1, 1)},
+            "view 0 has a pose whose rotation is not orthonormal",
+        ),
+        (
+            {"cam_from_world": torch.diag(torch.tensor([-1.0, 1, 1, 1])).repeat(2, 1, 1)},
+            "view 0 has a mirrored camera",
+        ),
+        (
+            {"intrinsics": torch.diag(torch.tensor([-1.0, 1, 1])).repeat(2, 1, 1)},
+            "view 0 has the focal length -1",
+        ),
     ],
 )
 def test_features_that_no_backbone_gives_are_named(folder: Path, change: dict, said: str):

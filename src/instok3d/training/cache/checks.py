@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
+from instok3d.geometry.checks import check_intrinsics, check_rigid
 from instok3d.reading import naming_damage, one_of, read_json, text, whole_number
 
 FORMAT = "instok3d-features-1"
@@ -59,7 +60,8 @@ def check_answer(
         where: The file and the sample, the subject of the message.
 
     Raises:
-        ValueError: A tensor is missing, of another shape, or not finite.
+        ValueError: A tensor is missing, of another shape, or not finite, a depth or a confidence
+            is negative, or a camera cannot be.
     """
     lacking = [name for name in ANSWER if name not in found]
     if lacking:
@@ -82,6 +84,13 @@ def check_answer(
             )
         if not value.is_floating_point() or not value.isfinite().all():
             raise ValueError(f"{where} has values in {name} that are not finite; {REMEDY}")
+        if name in ("depths", "confidences") and (value < 0).any():
+            raise ValueError(f"{where} has {name} below 0; {REMEDY}")
+    for view in range(views):
+        camera = f"{where} view {view}"
+        check_rigid(found["cam_from_world"][view].float(), where=camera)
+        intrinsics = found["intrinsics"][view].float()
+        check_intrinsics(intrinsics, where=camera, width=width, height=height, margin=float("inf"))
 
 
 def _check_settings(settings: dict[str, Any]) -> None:
