@@ -97,6 +97,33 @@ def test_one_wrong_camera_is_named(cameras: torch.Tensor):
     assert note.startswith("the given cameras of these photos contradict the others: 2.jpg (")
 
 
+def test_a_mix_up_is_named_even_if_only_one_view_moves(cameras: torch.Tensor):
+    # The other views fit either way, and so many of them that the total share looks right.
+    moves = torch.zeros(COUNT, 6)
+    moves[:, 4] = torch.tensor([0.0, 0.005, 0.01, 0.005, 0.0])
+    few = torch.cat([rigid_from_twist(moves[:4]) @ cameras[:1], cameras[1:2]])
+    points = seen_points(few)
+    assert notes(points, few) == []
+    (note,) = notes(points, flipped(few))
+    assert note.startswith("the given cameras contradict the photos: 6")
+    assert "y and z of the camera axes were reversed (OpenGL" in note
+
+
+def test_mix_ups_that_explain_as_much_are_all_named(cameras: torch.Tensor):
+    # Turns about the y axis, seen from a world that is turned by half a turn about the x axis:
+    # b_from_a of the inverse matrices is that of the given ones.
+    twists = torch.zeros(COUNT, 6)
+    twists[:, 4] = 0.06 * torch.arange(COUNT)
+    turned = rigid_from_twist(twists) @ cameras[:1]
+    half_turn = torch.diag(torch.tensor([1.0, -1, -1, 1]))
+    given = turned @ invert_rigid(cameras[:1]) @ half_turn
+    points = seen_points(turned)
+    assert notes(points, given) == []
+    (note,) = notes(points, flipped(given))
+    assert "the matrices were inverted" in note
+    assert "or if y and z of the camera axes were reversed" in note
+
+
 def test_too_few_common_points_are_no_evidence(cameras: torch.Tensor):
     points = seen_points(cameras, share=0.9 * EVIDENCE_SHARE)
     assert notes(points, invert_rigid(cameras)) == []

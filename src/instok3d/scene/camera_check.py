@@ -25,9 +25,12 @@ CONTRADICTED = 0.3
 others. True cameras with a focal length that is 11 % off (7-Scenes with the K of its depth camera)
 have more."""
 EXPLAINED, BETTER = 0.7, 0.25
-"""A mix-up is named if undoing it gives this share of inliers, and this much more than before."""
+"""A mix-up is named if undoing it gives this share of inliers, and this much more than before. If
+single views contradict the others, it must give each of these the same share instead."""
+NUM_USUAL = 4
+"""How many of the mix-ups are usual; `_mix_ups` lists these first."""
 TIE = 0.03
-"""Of mix-ups whose shares differ by no more than this the more usual one is named."""
+"""Mix-ups whose shares differ by no more than this explain the photos equally well."""
 
 Change = Callable[[Float[Tensor, "view 4 4"]], Float[Tensor, "view 4 4"]]
 
@@ -57,14 +60,15 @@ def camera_notes(
         f"{total:.0%} of {sum(len(pair.pixels_a) for pair in sure):,} matches agree with the "
         f"cameras to within {TOLERANCE_PX:g} pixels of the model's images"
     )
-    misfit = bool(sure) and total < FITTING
-    why = _explain(sure, cameras, intrinsics, total) if misfit else None
     alone = _contradicted_alone(sure, fits)
-    if why is None and 0 < 2 * len(alone) < len(names):
+    alone = alone if 2 * len(alone) < len(names) else []
+    misfit = bool(sure) and total < FITTING
+    if not (misfit or alone):
+        return []
+    why = _explain(sure, cameras, intrinsics, total, alone)
+    if why is None and alone:
         listed = ", ".join(names[view] for view in alone)
         return [f"the given cameras of these photos contradict the others: {listed} ({measured})"]
-    if not misfit:
-        return []
     why = why or (
         "neither inverted matrices nor other axes explain it: check which camera belongs to which "
         "photo, and the intrinsics"
@@ -107,19 +111,42 @@ def _contradicted_alone(pairs: Sequence[CommonPoints], fits: Sequence[float]) ->
 
 
 def _explain(
-    pairs: Sequence[CommonPoints], cameras: Tensor, intrinsics: Tensor, given: float
+    pairs: Sequence[CommonPoints],
+    cameras: Tensor,
+    intrinsics: Tensor,
+    given: float,
+    alone: Sequence[int],
 ) -> str | None:
-    """The most usual mix-up whose reversal makes the cameras agree; None if there is none."""
+    """The mix-ups whose reversal makes the cameras agree; None if there is none.
+
+    Of those that explain the photos equally well all usual ones are named; if none of them is
+    usual, the first.
+    """
     changes = _mix_ups()
     tried = torch.stack([change(cameras) for _, change in changes])
-    fits = [_fit(pair, tried, intrinsics) for pair in pairs]
-    scores = [
-        _mean_fit(pairs, [float(fit[number]) for fit in fits]) for number in range(len(changes))
-    ]
-    if max(scores) < max(EXPLAINED, given + BETTER):
+    fits = [_fit(pair, tried, intrinsics).tolist() for pair in pairs]
+    scores = []
+    for number in range(len(changes)):
+        fits_now = [fit[number] for fit in fits]
+        score = _mean_fit(pairs, fits_now)
+        needed = given + BETTER
+        if alone and min(_view_fits(pairs, fits_now, alone)) >= EXPLAINED:
+            needed = given
+        scores.append(score if score >= max(EXPLAINED, needed) else 0.0)
+    if max(scores) == 0:
         return None
-    best = next(number for number, score in enumerate(scores) if score >= max(scores) - TIE)
-    return f"{scores[best]:.0%} would if {changes[best][0]}"
+    tied = [number for number, score in enumerate(scores) if score >= max(scores) - TIE]
+    usual = [number for number in tied if number < NUM_USUAL] or tied[:1]
+    return f"{max(scores):.0%} would if " + ", or if ".join(changes[each][0] for each in usual)
+
+
+def _view_fits(
+    pairs: Sequence[CommonPoints], fits: Sequence[float], views: Sequence[int]
+) -> list[float]:
+    """For each of some views the share of inliers among the points of its pairs."""
+    rows = list(zip(pairs, fits, strict=True))
+    own = [[row for row in rows if view in (row[0].view_a, row[0].view_b)] for view in views]
+    return [_mean_fit([pair for pair, _ in each], [fit for _, fit in each]) for each in own]
 
 
 def _mix_ups() -> list[tuple[str, Change]]:
