@@ -19,7 +19,8 @@ install_import_hook("instok3d", "beartype.beartype")
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
-torch.set_num_threads(min(2, os.cpu_count() or 1))
+# As many processes as cores run tests side by side (pyproject.toml), each on one thread.
+torch.set_num_threads(1 if "PYTEST_XDIST_WORKER" in os.environ else min(2, os.cpu_count() or 1))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,7 +14,9 @@ def run_marked_tests(setting: Setting) -> list[Row]:
     """Pytest -m gpu: on a GPU all must pass and none may be skipped; elsewhere all are skipped."""
     # Only files that have such tests: others may import what a machine without network lacks.
     files = sorted(path for path in ROOT.glob("tests/**/test_*.py") if _is_marked(path))
+    # One process, since there is one GPU; and the machine may lack what runs several.
     command = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider"]
+    command += ["-o", "addopts=--strict-markers --import-mode=importlib"]
     done = subprocess.run(
         [*command, *map(str, files)], cwd=ROOT, capture_output=True, text=True, errors="replace"
     )
