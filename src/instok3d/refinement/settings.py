@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 
 DEFAULT_STEPS = 100
-"""More give little on photos that were not shown: docs/results.md has the curve."""
+"""More give little on photos that were not shown: docs/log.md (2026-11-28) has the curve."""
 MAX_STEPS = 100_000
 
 
