@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 
 from instok3d.photos.pixel_map import fit_pixels
-from instok3d.scene.from_tokens import scene_from_tokens
+from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups
@@ -75,7 +75,7 @@ def made_scene(tokens: TokenGroups, **options) -> Scene:
     num_views = tokens.geometry.depths.shape[1]
     generator = torch.Generator().manual_seed(4)
     shape = (num_views, HEIGHT, WIDTH, 3)
-    return scene_from_tokens(
+    bare = bare_scene(
         tokens,
         torch.randint(0, 256, shape, generator=generator).to(torch.uint8),
         [
@@ -85,6 +85,7 @@ def made_scene(tokens: TokenGroups, **options) -> Scene:
         provenance=Provenance("instok3d 0", "made by hand", "0" * 64, seed=0),
         **options,
     )
+    return with_objects(bare)
 
 
 def made_empty_scene() -> Scene:

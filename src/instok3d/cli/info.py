@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 if TYPE_CHECKING:
+    from instok3d.cli.progress import StageClock
     from instok3d.scene.record import RefinementRecord
     from instok3d.scene.scene import Scene
 
@@ -26,6 +27,21 @@ def run(scene: tyro.conf.Positional[Path], /, json: bool = False) -> None:
         print_json({"scene": str(scene), **summary(loaded)})
     else:
         print(describe(loaded))
+
+
+def show_made(
+    scene: "Scene", path: Path, clock: "StageClock", *, json: bool, timings: bool
+) -> None:
+    """Say what a command has made and written, and on stderr how long it took."""
+    from instok3d.progress import format_duration
+
+    print(
+        clock.report() if timings else f"done in {format_duration(clock.total_s)}", file=sys.stderr
+    )
+    if json:
+        print_json({"scene": str(path), **summary(scene), "timings_s": clock.times_s})
+    else:
+        print(f"{describe(scene)}\n\nwritten to {path}; look at {path}/previews/contact_sheet.png")
 
 
 def summary(scene: "Scene") -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """`instok3d reconstruct`: photos in, a scene folder out."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -82,12 +81,11 @@ def make_scene(
     """Reconstruct, save, and say on stdout what came out."""
     from instok3d.cli.progress import StageClock, plain_warnings
     from instok3d.cli.signals import asked_to_stop
-    from instok3d.progress import format_duration
 
     clock = StageClock()
     with clock.running():
         clock.begin("start")
-        from instok3d.cli.info import describe, print_json, summary
+        from instok3d.cli.info import show_made
         from instok3d.refinement.settings import DEFAULT_STEPS
         from instok3d.scene.files import check_target
         from instok3d.scene.previews import save_with_previews
@@ -102,11 +100,4 @@ def make_scene(
             )  # fmt: skip
         with plain_warnings():
             save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)
-    took = clock.report() if timings else f"done in {format_duration(clock.total_s)}"
-    print(took, file=sys.stderr)
-    if json:
-        print_json({"scene": str(output), **summary(scene), "timings_s": clock.times_s})
-    else:
-        print(
-            f"{describe(scene)}\n\nwritten to {output}; look at {output}/previews/contact_sheet.png"
-        )
+    show_made(scene, output, clock, json=json, timings=timings)

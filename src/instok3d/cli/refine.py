@@ -1,6 +1,5 @@
 """`instok3d refine`: the Gaussians of a scene optimised on its photos."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -44,12 +43,11 @@ def run(
     """
     from instok3d.cli.progress import StageClock, plain_warnings
     from instok3d.cli.signals import asked_to_stop
-    from instok3d.progress import format_duration
 
     clock = StageClock()
     with clock.running():
         clock.begin("start")
-        from instok3d.cli.info import describe, print_json, summary
+        from instok3d.cli.info import show_made
         from instok3d.refinement.settings import DEFAULT_STEPS
         from instok3d.scene.files import check_target
         from instok3d.scene.previews import save_with_previews
@@ -69,12 +67,4 @@ def run(
             )  # fmt: skip
         with plain_warnings():
             save_with_previews(result, output, overwrite=overwrite, progress=clock.begin)
-    took = clock.report() if timings else f"done in {format_duration(clock.total_s)}"
-    print(took, file=sys.stderr)
-    if json:
-        print_json({"scene": str(output), **summary(result), "timings_s": clock.times_s})
-    else:
-        print(
-            f"{describe(result)}\n\nwritten to {output}; look at "
-            f"{output}/previews/contact_sheet.png"
-        )
+    show_made(result, output, clock, json=json, timings=timings)

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.refinement.exposure import Exposure
-from instok3d.refinement.parameters import GaussianParameters
+from instok3d.refinement.optimized import OptimizedGaussians
 from instok3d.refinement.settings import RefinementSettings
-from instok3d.refinement.splitting import split_largest
 from instok3d.refinement.supervision import Supervision, level_of_step, pyramid, turns
 from instok3d.render import render
 from instok3d.types import Cameras, Gaussians
@@ -51,7 +50,7 @@ def refine_gaussians(
     photos: Float[Tensor, "view 3 height width"],
     settings: RefinementSettings = RefinementSettings(),  # noqa: B008 - frozen
     *,
-    known: Tensor | None = None,
+    known: Bool[Tensor, "view _ _"] | None = None,
     near: float,
     far: float,
     progress: Callable[[Progress], None] | None = None,
@@ -73,7 +72,7 @@ def refine_gaussians(
         cameras: Of the photos, unbatched, in the scene's world.
         photos: sRGB in [0, 1].
         settings: How long, and with what.
-        known: bool [view, height, width]: pixels that count; None counts all.
+        known: Pixels that count, of the photos' height and width; None counts all.
         near: Gaussians nearer than this z-depth are not drawn, scene units.
         far: Nor are those farther than this.
         progress: Called every TOLD_EVERY steps and after the last.
@@ -87,53 +86,35 @@ def refine_gaussians(
     if settings.steps == 0 or not len(gaussians.means):
         return Refined(gaussians, 0, before, before)
     levels = pyramid(full, coarse_side=settings.coarse_side)
-    length = typical_distance(gaussians, cameras)
-    parameters, anchor_index = GaussianParameters.of(gaussians), gaussians.anchor_index
-    start = parameters.means.clone()
-    optimizer = parameters.optimizer(settings.rates, length=length)
+    optimized = OptimizedGaussians(
+        gaussians, settings.rates, length=typical_distance(gaussians, cameras)
+    )
     exposure = None
     if settings.exposure and len(photos) > 1:
         exposure = Exposure(len(photos), rate=settings.rates.exposure, device=photos.device)
     turn = turns(len(photos), settings.views_per_step, seed=settings.seed)
     split_at = settings.steps // 2 if settings.split_share > 0 else -1
-    pressure = torch.zeros(len(start), device=start.device)
     done = 0
     for step in range(settings.steps):
         if stop is not None and stop():
             break
         if step == split_at:
-            split = split_largest(parameters, pressure, settings.split_share)
-            parameters = split.parameters
-            anchor_index, start = anchor_index[split.source], start[split.source]
-            start = start + split.moved
-            optimizer = parameters.optimizer(settings.rates, length=length)
-            pressure = pressure[split.source]
+            optimized.split(settings.split_share)
         indices = next(turn)
         level = level_of_step(step, settings.steps, len(levels), settings.coarse_share)
         seen = levels[level].views(indices)
-        height, width = seen.photos.shape[-2:]
-        renders = render(
-            parameters.gaussians(anchor_index), seen.cameras, height, width, near=near, far=far
-        ).colors
-        if exposure is not None:
-            renders = exposure.applied(renders, indices)
-        difference = renders - seen.photos
+        difference = _renders(optimized.gaussians(), seen, exposure, indices, near, far)
+        difference = difference - seen.photos
         loss = _mean_of_known(difference.abs(), seen.weights)
-        pull = ((parameters.means - start) / length).square().sum(dim=1).mean()
-        (loss + settings.mean_pull * pull).backward()
-        if split_at > step and parameters.means.grad is not None:
-            pressure += parameters.means.grad.norm(dim=1)
-        optimizer.step()
-        optimizer.zero_grad()
+        (loss + settings.mean_pull * optimized.pull()).backward()
+        optimized.step()
         if exposure is not None:
             exposure.step()
         done = step + 1
         if progress is not None and (done % TOLD_EVERY == 0 or done == settings.steps):
-            with torch.no_grad():
-                error = _mean_of_known(difference.square(), seen.weights)
+            error = _mean_of_known(difference.detach().square(), seen.weights)
             progress(Progress(done, settings.steps, _decibels(error)))
-    with torch.no_grad():
-        refined = parameters.gaussians(anchor_index).map(Tensor.detach)
+    refined = optimized.gaussians().map(Tensor.detach)
     return Refined(refined, done, before, _psnr(refined, full, exposure, near, far))
 
 
@@ -150,16 +131,27 @@ def _psnr(
     gaussians: Gaussians, full: Supervision, exposure: Exposure | None, near: float, far: float
 ) -> float:
     """Of all views and known pixels together."""
-    height, width = full.photos.shape[-2:]
     errors = []
     for view in range(len(full.photos)):
         seen = full.views([view])
-        renders = render(gaussians, seen.cameras, height, width, near=near, far=far).colors
-        if exposure is not None:
-            renders = exposure.applied(renders, [view])
+        renders = _renders(gaussians, seen, exposure, [view], near, far)
         error = (renders.clamp(0, 1) - seen.photos).square()
         errors.append(_mean_of_known(error, seen.weights))
     return _decibels(torch.stack(errors).mean())
+
+
+def _renders(
+    gaussians: Gaussians,
+    seen: Supervision,
+    exposure: Exposure | None,
+    views: list[int],
+    near: float,
+    far: float,
+) -> Float[Tensor, "view 3 height width"]:
+    """At the cameras of some views, exposed as their photos were."""
+    height, width = seen.photos.shape[-2:]
+    renders = render(gaussians, seen.cameras, height, width, near=near, far=far).colors
+    return renders if exposure is None else exposure.applied(renders, views)
 
 
 def _mean_of_known(

@@ -34,25 +34,6 @@ class GroupSight:
     """x0, y0, x1, y1 around the pixels, exclusive at the end; zeros for none."""
 
 
-def scene_from_tokens(
-    tokens: TokenGroups,
-    photos: UInt8[Tensor, "view height width 3"],
-    views: Sequence[SceneView],
-    *,
-    provenance: Provenance,
-    cam_from_world: Float[Tensor, "view 4 4"] | None = None,
-    units: Literal["metres", "arbitrary"] = "arbitrary",
-    notes: Sequence[str] = (),
-) -> Scene:
-    """`bare_scene` with its objects."""
-    return with_objects(
-        bare_scene(
-            tokens, photos, views, provenance=provenance, cam_from_world=cam_from_world,
-            units=units, notes=notes,
-        )
-    )  # fmt: skip
-
-
 @torch.no_grad()
 def bare_scene(
     tokens: TokenGroups,

@@ -147,10 +147,7 @@ def reconstruct(
     )
     if refine:
         begin("refinement")
-        images = scene.photos.permute(0, 3, 1, 2).float() / 255
-        scene = refined(
-            scene, refinement, images=images, cameras=scene.cameras, progress=progress, stop=stop
-        )
+        scene = refined(scene, refinement, progress=progress, stop=stop)
     begin("objects")
     return with_objects(scene)
 

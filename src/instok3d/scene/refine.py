@@ -73,8 +73,7 @@ def refine(
         )
     if steps == 0:
         return scene
-    cameras, paths = scene.cameras, None
-    images = scene.photos.permute(0, 3, 1, 2).float() / 255
+    images = cameras = None
     if photos is not None:
         paths = _photos_of(scene, find_images(photos))
         images, cameras = _at_size(scene, paths, height, width)
@@ -91,8 +90,8 @@ def refined(
     scene: Scene,
     settings: RefinementSettings,
     *,
-    images: Float[Tensor, "view 3 height width"],
-    cameras: Cameras,
+    images: Float[Tensor, "view 3 height width"] | None = None,
+    cameras: Cameras | None = None,
     known: Bool[Tensor, "view height width"] | None = None,
     progress: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
@@ -104,8 +103,8 @@ def refined(
     Args:
         scene: What to refine.
         settings: How.
-        images: Its photos, of any one size.
-        cameras: Of the photos, with intrinsics for this size.
+        images: Its photos, of any one size; the scene's own copies when None.
+        cameras: Of the photos, with intrinsics for this size; the scene's own when None.
         known: Pixels that count; None counts all.
         progress: Called with how far it is.
         stop: Asked before every step.
@@ -116,6 +115,8 @@ def refined(
             progress(f"refinement: step {at.step} of {at.steps}, {at.psnr:.1f} dB")
 
     near, far = scene.near_far
+    images = scene.photos.permute(0, 3, 1, 2).float() / 255 if images is None else images
+    cameras = scene.cameras if cameras is None else cameras
     result = refine_gaussians(
         scene.gaussians, cameras, images, settings, known=known, near=near, far=far,
         progress=tell, stop=stop,
