@@ -28,8 +28,8 @@ BASE = preset("nano-tokenizer")
 class CacheArguments:
     """What is cached, and where."""
 
-    data: Path
-    """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare)."""
+    data: tuple[Path, ...]
+    """Folders of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare)."""
     init_from: Path
     """Run folder or .safetensors file with the backbone, alone or in a tokenizer."""
     output: Annotated[Path, arg(aliases=["-o"])]

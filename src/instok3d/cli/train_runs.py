@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -27,8 +27,8 @@ from instok3d.weights import weights_path
 class RunArguments:
     """Where a run reads and writes."""
 
-    data: Path | None = None
-    """Folder of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
+    data: tuple[Path, ...] = ()
+    """Folders of rooms (instok3d data rooms) or of prepared scenes (instok3d data prepare); only
     those of the training split are used. --dry-run alone does without."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Folder of the run: checkpoints, metrics.jsonl, pictures, curves.png."""
@@ -102,12 +102,12 @@ def show_plan(arguments: RunArguments, config: TrainConfig) -> None:
     print(plan_text(plan, gpu=arguments.gpu))
 
 
-def _planned_scenes(folder: Path | None, config: TrainConfig) -> SceneSource | None:
+def _planned_scenes(folders: Sequence[Path], config: TrainConfig) -> SceneSource | None:
     """The scenes, or None where there are none yet; says so on stderr if a folder was named."""
-    if folder is None:
+    if not folders:
         return None
     try:
-        return open_training_scenes(folder, masks=config.masks)
+        return open_training_scenes(folders, masks=config.masks)
     except FileNotFoundError as error:
         print(f"instok3d: note: planned without scenes: {error}", file=sys.stderr)
         return None
@@ -123,7 +123,7 @@ def run_training(arguments: RunArguments, config: TrainConfig) -> None:
         KeyboardInterrupt: It was interrupted, after the checkpoint was saved.
     """
     assert arguments.output is not None
-    if arguments.data is None:
+    if not arguments.data:
         raise ValueError("a run needs scenes: give --data DIR, or --dry-run to see the plan")
     source = open_training_scenes(arguments.data, masks=config.masks)
     check_device(config.device)

@@ -1,7 +1,9 @@
 """Which data set a folder holds, by the index that lies in it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from instok3d.data.joined import JoinedScenes
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.prepared import PreparedScenes
 from instok3d.datasets.prepared.index import INDEX as PREPARED_INDEX
@@ -10,17 +12,23 @@ from instok3d.rooms.seeding import split_seeds
 from instok3d.rooms.shards import INDEX as ROOMS_INDEX
 
 
-def open_training_scenes(folder: Path, *, masks: str | None = None) -> SceneSource:
-    """The scenes of the training split of a folder of rooms or of prepared scenes.
+def open_training_scenes(folders: Sequence[Path], *, masks: str | None = None) -> SceneSource:
+    """The scenes of the training split of folders of rooms or of prepared scenes, in turn.
 
     Args:
-        folder: From `instok3d data rooms` or `instok3d data prepare`.
+        folders: From `instok3d data rooms` or `instok3d data prepare`; at least one.
         masks: Take the ids that this model made instead of the true ones (prepared scenes).
 
     Raises:
-        FileNotFoundError: The folder holds neither, or lacks such masks.
-        ValueError: Masks were asked of rooms, or the index is damaged.
+        FileNotFoundError: A folder holds neither, or lacks such masks.
+        ValueError: Masks were asked of rooms, an index is damaged, two scenes have one name, or
+            no folder.
     """
+    sources = [_open(folder, masks) for folder in folders]
+    return sources[0] if len(sources) == 1 else JoinedScenes(sources)
+
+
+def _open(folder: Path, masks: str | None) -> SceneSource:
     if (folder / ROOMS_INDEX).is_file():
         if masks is not None:
             raise ValueError(f"{folder} holds rooms, which have true ids: leave masks {masks} out")
