@@ -68,8 +68,8 @@ def test_the_held_out_pattern_is_drawn_in_transfer_rooms_only(monkeypatch):
     zigzag = textures.PATTERNS["zigzag"]
     spy = {"zigzag": lambda rng, count: drawn.append(count) or zigzag(rng, count)}
     monkeypatch.setattr(textures, "PATTERNS", textures.PATTERNS | spy)
-    for seed in (21, 22):
-        build_room(seed, "hard")
+    for seed, level in ((21, "hard"), (22, "hard"), (23, "real")):
+        build_room(seed, level)
     assert not drawn
     for seed in (3_000_021, 3_000_022):
         build_room(seed, "hard")
@@ -85,7 +85,9 @@ def test_level_and_room_type_follow_their_shares():
 
 
 def test_unknown_level_is_named():
-    with pytest.raises(ValueError, match=r"level 'cosy' is unknown; choose mix, easy"):
+    with pytest.raises(
+        ValueError, match=r"level 'cosy' is unknown; choose mix, easy, medium, hard or real"
+    ):
         build_room(1, "cosy")
 
 

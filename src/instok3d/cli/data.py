@@ -45,7 +45,7 @@ def rooms(
     seeds: str = "0:2000",
     resolution: int = 128,
     workers: int = 2,
-    level: Literal["mix", "easy", "medium", "hard"] = "mix",
+    level: Literal["mix", "easy", "medium", "hard", "real"] = "mix",
 ) -> None:
     """Render procedural rooms into a folder; run it again to resume or to add seeds.
 
@@ -57,7 +57,8 @@ def rooms(
         seeds: First seed, colon, last seed plus one.
         resolution: Height and width of the pictures, pixels.
         workers: Processes; one a free core.
-        level: How hard the rooms are; mix is 30 % easy, 50 % medium, 20 % hard.
+        level: How hard the rooms are; mix is 30 % easy, 50 % medium, 20 % hard. Rooms of level real
+            look like photos: darker, cluttered, finely textured, in mixed light.
     """
     from instok3d.rooms.generate import generate_rooms
 

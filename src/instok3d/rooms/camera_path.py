@@ -70,7 +70,8 @@ class PathFinder:
 
     def __init__(self, room: Room, renderer: Renderer, rng: np.random.Generator):
         self.room, self.renderer, self.rng = room, renderer, rng
-        self.fov_deg = float(rng.uniform(*room.level.fov_deg))
+        self.level = room.level
+        self.fov_deg = self.level.draw_fov_deg(rng)
         self.intrinsics = intrinsics_of(PROBE, self.fov_deg)
         plan = room.plan
         self.obstacles = [b for b in plan.obstacles.values() if b.high > 0.3 and b.low < 1.9]
@@ -142,7 +143,7 @@ class PathFinder:
         """A hand-held path through way-points, as dense poses, and its kind."""
         rng, points = self.rng, self._waypoints()
         kind = str(rng.choice(["focus", "roam", "pan"], p=[0.35, 0.4, 0.25]))
-        heights = rng.uniform(1.2, 1.65) + rng.normal(0, 0.08, len(points))
+        heights = rng.uniform(*self.level.height_m) + rng.normal(0, 0.08, len(points))
         targets = [*self.targets, self.center, self.center]
         focus = 0.5 * (targets[rng.integers(len(targets))] + self.center)
         turning = rng.choice([-1, 1])
@@ -162,9 +163,10 @@ class PathFinder:
     def _walk(self, points: np.ndarray, *knots: Sequence[float] | np.ndarray) -> list[Pose]:
         """Smooth poses through way-points and their heights, yaws, pitches, with a tremor."""
         t = np.linspace(0, SEGMENTS, SEGMENTS * DENSE + 1)
+        tilt = self.level.tilt
         tremor = [
             a * np.sin(t * f + self.rng.uniform(0, 6))
-            for a, f in ((0.015, 7), (0.02, 5), (0.02, 6), (0.03, 3))
+            for a, f in ((0.015, 7), (0.02, 5), (0.02 * tilt, 6), (0.03 * tilt, 3))
         ]
         xy, z, yaw, pitch = (
             PchipInterpolator(np.arange(SEGMENTS + 1), values)(t) for values in (points, *knots)
@@ -183,8 +185,8 @@ class PathFinder:
         distance = np.where(hit, hits.distance, 0)
         good = bool(
             hit.mean() > 0.999
-            and np.median(distance) > 1.05
-            and (distance < 0.55).mean() < 0.12
+            and np.median(distance) > self.level.near_m
+            and (distance < 0.55).mean() < self.level.near_share
             and (objects >= 20).sum() >= 3
             and objects.max() < 0.6 * total
             and objects.sum() > 0.15 * total

@@ -1,4 +1,4 @@
-"""The 61 classes of the rooms, which of them are stuff, and their ScanNet20 and NYU40 names."""
+"""The 66 classes of the rooms, which of them are stuff, and their ScanNet20 and NYU40 names."""
 
 STUFF = ("wall", "floor", "ceiling")
 """Classes that are surfaces of the room, not objects; each wall is still its own instance."""
@@ -23,7 +23,8 @@ NYU40 = SCANNET20 | {
     "cup": "otherprop", "bowl": "otherprop", "clock": "otherprop", "laptop": "otherprop",
     "keyboard": "otherprop", "telephone": "otherprop", "plant": "otherprop",
     "trash can": "otherprop", "toaster": "otherprop", "microwave": "otherprop",
-    "printer": "otherprop",
+    "printer": "otherprop", "paper": "paper", "towel": "towel", "clothes": "clothes",
+    "shoes": "otherprop", "bag": "bag",
 }  # fmt: skip
 """NYU40 name of a class; every class that is not here is "otherfurniture"."""
 
@@ -35,6 +36,6 @@ CLASSES = (
     "shower curtain", "lamp", "ceiling lamp", "monitor", "television", "laptop", "keyboard",
     "printer", "telephone", "plant", "rug", "picture", "mirror", "whiteboard", "clock",
     "radiator", "curtain", "box", "trash can", "backpack", "suitcase", "ball", "vase", "bottle",
-    "cup", "bowl", "books", "piano",
+    "cup", "bowl", "books", "piano", "paper", "towel", "clothes", "shoes", "bag",
 )  # fmt: skip
 """Every class name that an instance can have."""

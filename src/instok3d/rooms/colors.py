@@ -58,6 +58,57 @@ def cloth(rng: np.random.Generator) -> Color:
     return vivid(rng, (0.2, 0.8), (0.2, 0.85))
 
 
+def interior(rng: np.random.Generator) -> Color:
+    """A colour that walls of real homes have: white, grey, dull, or strong."""
+    kind = rng.random()
+    if kind < 0.36:
+        return hsv(rng.choice([0.08, 0.11, 0.13, 0.6]), rng.uniform(0, 0.1), rng.uniform(0.8, 0.97))
+    if kind < 0.6:
+        return hsv(rng.choice([0.1, 0.6]), rng.uniform(0, 0.12), rng.uniform(0.35, 0.78))
+    if kind < 0.82:
+        return vivid(rng, (0.06, 0.28), (0.4, 0.85))
+    return vivid(rng, (0.25, 0.6), (0.25, 0.65))
+
+
+def neutral(rng: np.random.Generator, strong: Number = 0.25) -> Color:
+    """White, grey, black or beige, or a stronger colour as often as said."""
+    kind = rng.random()
+    if kind < strong:
+        return vivid(rng, (0.2, 0.8), (0.15, 0.8))
+    value = rng.choice([rng.uniform(0.03, 0.15), rng.uniform(0.2, 0.6), rng.uniform(0.75, 0.96)])
+    return hsv(rng.choice([0.07, 0.1, 0.6, 0.62]), rng.uniform(0, 0.2), value)
+
+
+def dull(rng: np.random.Generator) -> Color:
+    """A colour of carpets and heavy cloth: grey, brown, or faint."""
+    if rng.random() < 0.4:
+        return hsv(rng.choice([0.08, 0.1, 0.6]), rng.uniform(0, 0.15), rng.uniform(0.08, 0.75))
+    return vivid(rng, (0.08, 0.45), (0.12, 0.65))
+
+
+def printed(rng: np.random.Generator) -> Color:
+    """A colour of printed matter: white, black, or strong."""
+    kind = rng.random()
+    if kind < 0.35:
+        return hsv(rng.random(), rng.uniform(0, 0.08), rng.uniform(0.85, 0.98))
+    if kind < 0.5:
+        return hsv(rng.random(), rng.uniform(0, 0.4), rng.uniform(0.03, 0.2))
+    return vivid(rng, (0.4, 0.95), (0.3, 0.95))
+
+
+def light_color(kelvin: Number) -> Color:
+    """The colour of a black body of 1000 to 40000 K, the brightest channel 1.
+
+    Tanner Helland's fit of the CIE 1964 colour matching functions in sRGB.
+    """
+    t = kelvin / 100
+    red = 1.0 if t <= 66 else 1.292936 * (t - 60) ** -0.1332047592
+    green = 0.390082 * np.log(t) - 0.631841 if t <= 66 else 1.129891 * (t - 60) ** -0.0755148492
+    blue = 1.0 if t >= 66 else 0.543207 * np.log(t - 10) - 1.196254
+    color = np.clip([red, green, blue], 0.02, 1)
+    return color / color.max()
+
+
 def color_name(color: Color) -> str:
     """The basic English name of an sRGB colour (one of 13)."""
     hue, saturation, value = colorsys.rgb_to_hsv(*(float(x) for x in color))

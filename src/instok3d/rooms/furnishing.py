@@ -1,6 +1,7 @@
 """Filling the empty room: furniture, rugs, things on furniture, things on walls, lamps."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -297,14 +298,15 @@ class Furnisher:
         left = self.level.small
         for host in hosts:
             parent = self.plan.placed[host - 1]
-            wanted = int(rng.integers(0, 3 if self.level.name == "easy" else 5))
+            wanted = int(rng.integers(*self.level.on_each))
             if parent.generator == "tv_stand":
                 wanted = max(wanted, 1)
             if parent.generator == "sofa":
                 wanted = int(rng.integers(0, 3))
             for number in range(min(wanted, left)):
                 name = self._small_name(rng, parent, number)
-                if self._on_top(rng, name, self._make(name), host, parent):
+                thing = Placed(self._make(name), name, 0, 0, 0, 0, host)
+                if put_on_top(self.plan, rng, thing, 0.0 if name == "television" else 0.3):
                     left -= 1
 
     def _small_name(self, rng: np.random.Generator, parent: Placed, number: int) -> str:
@@ -314,29 +316,27 @@ class Furnisher:
             return "monitor"
         return self._pick(rng, ON_TOP.get(parent.furniture.name, _DECOR))
 
-    def _on_top(
-        self, rng: np.random.Generator, name: str, item: Furniture, host: int, parent: Placed
-    ) -> bool:
-        """Stand an object on another one, inside one of its supports."""
-        width, depth, height = item.size
-        support: Support = parent.furniture.supports[
-            int(rng.integers(len(parent.furniture.supports)))
-        ]
-        room_x, room_y = support.x1 - support.x0 - width, support.y1 - support.y0 - depth
-        if room_x < -0.1 or room_y < -0.12:  # a little overhang is fine
-            return False
-        middle = (support.x0 + support.x1) / 2, (support.y0 + support.y1) / 2
-        z = parent.z + support.z
-        for _ in range(8):
-            x = middle[0] + rng.uniform(-0.5, 0.5) * max(room_x, 0.0)
-            y = middle[1] + rng.uniform(-0.5, 0.5) * max(room_y, 0.0)
-            turn = 0.0 if name == "television" else float(rng.uniform(-0.3, 0.3))
-            dx, dy = rot_z(parent.angle_rad)[:2, :2] @ np.array([x, y])
-            angle = parent.angle_rad + turn
-            region = Box(
-                float(parent.x + dx), float(parent.y + dy), width, depth, angle, z, z + height
-            )
-            if self.plan.fits(region, gap=0.01, ignore=(host,)):
-                self.plan.add(Placed(item, name, region.x, region.y, z, angle, host), region)
-                return True
+
+def put_on_top(plan: Plan, rng: np.random.Generator, thing: Placed, turn_rad: Number) -> bool:
+    """Stand a thing on its parent, inside one of its supports, turned by up to turn_rad."""
+    parent = plan.placed[thing.parent - 1]
+    width, depth, height = thing.furniture.size
+    supports = parent.furniture.supports
+    support: Support = supports[int(rng.integers(len(supports)))]
+    room_x, room_y = support.x1 - support.x0 - width, support.y1 - support.y0 - depth
+    if room_x < -0.1 or room_y < -0.12:  # a little overhang is fine
         return False
+    middle = (support.x0 + support.x1) / 2, (support.y0 + support.y1) / 2
+    z = parent.z + support.z
+    for _ in range(8):
+        x = middle[0] + rng.uniform(-0.5, 0.5) * max(room_x, 0.0)
+        y = middle[1] + rng.uniform(-0.5, 0.5) * max(room_y, 0.0)
+        turn = float(rng.uniform(-turn_rad, turn_rad)) if turn_rad else 0.0
+        dx, dy = rot_z(parent.angle_rad)[:2, :2] @ np.array([x, y])
+        angle = parent.angle_rad + turn
+        region = Box(float(parent.x + dx), float(parent.y + dy), width, depth, angle, z, z + height)
+        if plan.fits(region, gap=0.01, ignore=(thing.parent,)):
+            stood = replace(thing, x=region.x, y=region.y, z=z, angle_rad=angle)
+            plan.add(stood, region)
+            return True
+    return False

@@ -15,7 +15,7 @@ from instok3d.files import write_json
 from instok3d.locking import alone_in, remove_leftovers
 from instok3d.progress import progress_bar
 from instok3d.rooms.denoising import Denoiser, find_denoiser
-from instok3d.rooms.levels import LEVELS
+from instok3d.rooms.levels import check_level
 from instok3d.rooms.scene import render_scene
 from instok3d.rooms.seeding import GENERATOR_VERSION, split_of
 from instok3d.rooms.shards import (
@@ -120,7 +120,7 @@ def generate_rooms(
         folder: Made if it is not there.
         seeds: Training seeds are 0 to 999,999; see `SPLIT_STARTS` for the other splits.
         resolution: Height and width of the pictures, pixels.
-        level: mix (30 % easy, 50 % medium, 20 % hard, by seed), easy, medium or hard.
+        level: mix (30 % easy, 50 % medium, 20 % hard, by seed), easy, medium, hard or real.
         workers: Processes.
         progress: A bar on stderr, where that is a terminal.
 
@@ -178,8 +178,7 @@ def _check(seeds: range, resolution: int, level: str, workers: int) -> None:
         raise ValueError(f"seeds {seeds} is no range of seeds; give first:last+1, such as 0:2000")
     if not 16 <= resolution <= 2048:
         raise ValueError(f"resolution {resolution} is outside 16 to 2048 pixels")
-    if level != "mix" and level not in LEVELS:
-        raise ValueError(f"level {level!r} is unknown; choose mix, easy, medium or hard")
+    check_level(level)
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
     for seed in (seeds[0], seeds[-1]):

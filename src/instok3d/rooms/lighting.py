@@ -5,14 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from instok3d.rooms.colors import light_color
 from instok3d.rooms.mesh import Mesh
 from instok3d.rooms.room import Room
 
 GUIDE_SIZE = 4096
 """Slots that emitters share by their power: one uniform number picks one."""
-
-VISIBLE_LAMP = 2.2
-"""Most radiance that a lamp shows to the camera; more would make ragged edges."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +47,11 @@ def draw_emission(room: Room, rng: np.random.Generator) -> Float[np.ndarray, " m
 def build_lights(
     mesh: Mesh,
     emission: Float[np.ndarray, " material"],
+    lamp_visible: float,
     window_visible: float,
     mean_colors: Float[np.ndarray, "material 3"],
 ) -> Lights:
-    """Tables of all emitting triangles for these radiances."""
+    """Tables of all emitting triangles for these radiances; cameras see less of the brightest."""
     face = np.nonzero(emission[mesh.face_material] > 0)[0]
     corners = mesh.vertices[mesh.faces[face]]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -65,7 +64,7 @@ def build_lights(
     slots = np.maximum(1, np.round(power / power.sum() * GUIDE_SIZE)).astype(int)
     probability = slots / slots.sum()
     weights = radiance * (area / probability / np.pi)[:, None]
-    visible = np.minimum(emission, VISIBLE_LAMP)
+    visible = np.minimum(emission, lamp_visible)
     for i, m in enumerate(mesh.materials):
         if m.light == "window":
             visible[i] = min(emission[i], window_visible)
@@ -79,3 +78,30 @@ def build_lights(
         weights=np.ascontiguousarray(weights, np.float32),
         guide=np.repeat(np.arange(len(face), dtype=np.int32), slots),
     )
+
+
+@dataclass(frozen=True)
+class Sun:
+    """Parallel light that enters through windows."""
+
+    direction: Float[np.ndarray, " 3"]
+    """Unit, towards the sun."""
+    irradiance: Float[np.ndarray, " 3"]
+    """Over pi, on a surface that faces the sun."""
+
+
+def draw_sun(room: Room, rng: np.random.Generator) -> Sun | None:
+    """A sun that one of the windows of a room in daylight lets in, or None."""
+    mesh = room.mesh
+    panes = [i for i, m in enumerate(mesh.materials) if m.light == "window" and m.emission > 1]
+    shines, elevation = rng.random() < room.level.sun, rng.uniform(0.25, 1.0)
+    aside, strength = rng.uniform(-0.9, 0.9), rng.uniform(0.6, 5.0)
+    warmth = light_color(rng.uniform(4200, 6000)) ** 2.2
+    if not shines or not panes:
+        return None
+    face = int(rng.choice(np.nonzero(np.isin(mesh.face_material, panes))[0]))
+    x, y, _ = mesh.normals[mesh.faces[face, 0]]
+    azimuth = np.arctan2(-y, -x) + aside  # panes face into the room
+    flat = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    direction = np.append(flat, np.sin(elevation)).astype(np.float32)
+    return Sun(direction, (strength * warmth).astype(np.float32))

@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from instok3d.rooms import colors, pictures, textures
+from instok3d.rooms import colors, pictures, prints, textures
 from instok3d.rooms.colors import Color, Number
 from instok3d.rooms.textures import Texture
 
@@ -168,3 +168,68 @@ class Maker:
     def books(self) -> Material:
         """A row of books, 35 cm to the tile."""
         return Material("paper", pictures.book_spines(self.rng))
+
+    def label(self) -> Material:
+        """The label around a bottle."""
+        return self.plain("paper", colors.vivid(self.rng), 0.0)
+
+    def packages(self) -> Material:
+        """A sheet of prints for covers and packages (`prints.CELLS`)."""
+        return Material("paper", prints.packages(self.rng))
+
+    def papers(self) -> Material:
+        """A sheet of pages (`prints.CELLS`)."""
+        return Material("paper", prints.papers(self.rng))
+
+    def glow(self, low: Number, high: Number) -> Material:
+        """The glass of a ceiling lamp."""
+        color = colors.hsv(0.1, self.uniform(0.02, 0.2), 1)
+        power = self.uniform(low, high)
+        return self.plain("glass", color, 0.0, emission=power, light="lamp")
+
+    def window_view(self, daylight: Number) -> Material:
+        """What windows show, which lights the room."""
+        return Material("glass", pictures.outdoors(self.rng), emission=daylight, light="window")
+
+    def ceiling(self) -> Material:
+        """A white ceiling."""
+        white = colors.hsv(0.1, self.uniform(0, 0.06), self.uniform(0.85, 0.97))
+        return Material("paint", textures.paint(self.rng, white), 2)
+
+    def floor(self, room_type: str) -> Material:
+        """Wood, carpet or tiles; concrete where held-out materials may appear."""
+        kind, rng = self.rng.random(), self.rng
+        wet = room_type in ("bathroom", "kitchen")
+        if self.style.held_out and self.chance(0.4):
+            return Material("concrete", textures.concrete(rng, self.uniform(0.35, 0.7)), 2)
+        if wet and kind < 0.75:
+            chequered = self.chance(0.2) and not self.style.plain
+            first = colors.hsv(rng.random(), self.uniform(0, 0.25), self.uniform(0.45, 0.95))
+            dark = colors.hsv(0.6, 0.1, 0.2)
+            pair = (colors.hsv(0.1, 0.05, 0.9), dark) if chequered else (first, None)
+            return Material("tiles", textures.tiles(rng, *pair), self.uniform(0.9, 1.8), gloss=0.08)
+        if kind < 0.6:
+            boards = textures.planks(rng, colors.wood(rng))
+            return Material("wood", boards, self.uniform(0.8, 1.3), gloss=0.07)
+        if kind < 0.85:
+            color = colors.hsv(rng.random(), self.uniform(0.03, 0.4), self.uniform(0.25, 0.75))
+            return Material("carpet", textures.carpet(rng, color))
+        color = colors.hsv(rng.random(), self.uniform(0, 0.25), self.uniform(0.45, 0.95))
+        return Material("tiles", textures.tiles(rng, color), self.uniform(1, 2), gloss=0.08)
+
+    def walls(self, room_type: str) -> tuple[Material, Material]:
+        """What most walls are made of, and what one of them is made of."""
+        rng, color = self.rng, colors.soft(self.rng)
+        common = Material("paint", textures.paint(rng, color), 2)
+        if room_type == "bathroom" and self.chance(0.7):
+            pale = colors.hsv(rng.random(), self.uniform(0, 0.3), self.uniform(0.7, 0.95))
+            common = Material("tiles", textures.tiles(rng, pale), self.uniform(0.6, 1.4), gloss=0.1)
+        if self.style.held_out and self.chance(0.5):
+            return common, Material("brick", textures.brick(rng), 1.2)
+        if not self.chance(0.4):
+            return common, common
+        if self.style.plain or self.chance(0.6):
+            accent = colors.vivid(rng, (0.2, 0.6), (0.3, 0.8))
+            return common, Material("paint", textures.paint(rng, accent), 2)
+        darker = np.clip(color * self.uniform(0.75, 0.92), 0, 1)
+        return common, self.pattern("wallpaper", color, darker, self.uniform(0.6, 1.5))

@@ -27,6 +27,11 @@ class Box:
         """The box with `gap` metres added to its width and to its depth."""
         return replace(self, width=self.width + gap, depth=self.depth + gap)
 
+    @property
+    def radius(self) -> float:
+        """Of the circle through the corners."""
+        return 0.5 * float((self.width**2 + self.depth**2) ** 0.5)
+
     def corners(self) -> Float[np.ndarray, "4 2"]:
         """The footprint, going round."""
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
@@ -44,6 +49,9 @@ class Box:
     def overlaps(self, other: "Box") -> bool:
         """Whether the boxes share volume (separating axes; touching is no overlap)."""
         if self.low >= other.high or other.low >= self.high:
+            return False
+        apart = (self.x - other.x) ** 2 + (self.y - other.y) ** 2
+        if apart > (self.radius + other.radius) ** 2:  # not even their circumscribed circles meet
             return False
         mine, theirs = self.corners(), other.corners()
         for corners in (mine, theirs):

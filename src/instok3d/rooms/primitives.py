@@ -262,3 +262,20 @@ def drape(
     ]
     points, uvs = (np.stack(layers, 1) for layers in zip(*rows, strict=True))
     return grid(points, np.repeat(normal[:, None], 2, 1), uvs, material)
+
+
+def tube(
+    path: Float[np.ndarray, "point 3"], radius: Number, material: Material, sides: int = 5
+) -> Part:
+    """An open tube along a path, such as a cable; neighbouring points must differ."""
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True) + 1e-12
+    aside = np.cross(along, [0.31, 0.47, 0.83])  # a direction that no cable here runs in
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True) + 1e-12
+    above = np.cross(along, aside)
+    angle = np.linspace(0, 2 * np.pi, sides + 1)[None, :, None]
+    normals = np.cos(angle) * aside[:, None] + np.sin(angle) * above[:, None]
+    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    around = np.broadcast_to(angle[..., 0] * radius, normals.shape[:2])
+    uvs = np.stack([around, np.broadcast_to(steps[:, None], normals.shape[:2])], -1)
+    return grid(path[:, None] + radius * normals, normals, uvs, material)

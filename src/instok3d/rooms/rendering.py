@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt16
 
 from instok3d.rooms.denoising import Denoiser
-from instok3d.rooms.lighting import build_lights, draw_emission
+from instok3d.rooms.lighting import Sun, build_lights, draw_emission, draw_sun
 from instok3d.rooms.room import Room
 from instok3d.rooms.textures import SIZE
 from instok3d.rooms.tracing import EmbreeTracer, Rays, Tracer
@@ -92,7 +92,8 @@ class Renderer:
     ):
         mesh = room.mesh
         self.mesh, self.denoiser = mesh, denoiser
-        self.gloss_on = room.level.gloss
+        self.level = room.level
+        self.sun = None
         self.tracer = tracer or EmbreeTracer(mesh.vertices, mesh.faces)
         attributes = np.concatenate([mesh.normals, mesh.uvs], 1)[mesh.faces]
         attributes[:, 1:] -= attributes[:, :1]
@@ -101,12 +102,17 @@ class Renderer:
         self._texels, self._offsets, self._means = _texture_pyramids(textures)
         self._tile_m = np.array([m.tile_m for m in mesh.materials], F32)
         self._gloss = np.array([m.gloss for m in mesh.materials], F32)
-        window_visible = float(rng.uniform(0.7, 2.0))
+        visible = self.level.lamp_visible, float(rng.uniform(*self.level.window_visible))
         emission = draw_emission(room, rng)
-        self.lights = build_lights(mesh, emission, window_visible, self._means)
-        self._calibrate(rng, emission, window_visible)
+        self.lights = build_lights(mesh, emission, *visible, self._means)
+        self._calibrate(rng, emission, visible)
+        self.ambient *= F32(rng.uniform(*self.level.ambient))
+        self._panes = np.array([m.light == "window" for m in mesh.materials])
+        self.sun = draw_sun(room, rng)
 
-    def _calibrate(self, rng: np.random.Generator, emission: np.ndarray, window: float) -> None:
+    def _calibrate(
+        self, rng: np.random.Generator, emission: np.ndarray, visible: tuple[float, float]
+    ) -> None:
         """Scale lamps and windows to the wanted mean irradiance, and set the ambient light."""
         mesh = self.mesh
         corners = mesh.vertices[mesh.faces]
@@ -127,7 +133,7 @@ class Renderer:
         gain = F32(MEAN_IRRADIANCE / max(float(light.mean()), 1e-4))
         screens = np.array([m.light == "screen" for m in mesh.materials])
         scaled = np.where(screens, emission, emission * gain).astype(F32)
-        self.lights = build_lights(mesh, scaled, window, self._means)
+        self.lights = build_lights(mesh, scaled, *visible, self._means)
         albedo = self._means[mesh.face_material[face]].mean(0)
         self.ambient = (light * gain * albedo / (1 - np.minimum(albedo, 0.75))).astype(F32)
 
@@ -182,6 +188,21 @@ class Renderer:
             reach = 1 - F32(4e-3) / np.sqrt(square[useful])
             lit = useful[~self.tracer.occluded(start, to_light[useful], reach)]
             light[lit] = lights.weights[emitter[lit]] * weight[lit][:, None]
+        if self.sun:
+            light += self._sunlight(self.sun, points, normals)
+        return light
+
+    def _sunlight(self, sun: Sun, points: Rays, normals: Rays) -> Rays:
+        """Irradiance over pi from the sun: on points that see it through a window."""
+        cosines = normals @ sun.direction
+        facing = np.nonzero(cosines > 0)[0]
+        light = np.zeros_like(points)
+        if len(facing):
+            start = points[facing] + normals[facing] * F32(OFFSET_M)
+            rays = np.tile(sun.direction, (len(facing), 1))
+            face = self.tracer.trace(start, rays).face
+            lit = facing[(face >= 0) & self._panes[self.mesh.face_material[face]]]
+            light[lit] = cosines[lit, None] * sun.irradiance
         return light
 
     def _incoming(
@@ -206,7 +227,7 @@ class Renderer:
         count = len(directions)
         starts = surface.points + surface.normals * F32(OFFSET_M)
         aims = surface.normals + F32(0.999) * _unit_sphere(rng, count)
-        if not self.gloss_on:
+        if not self.level.gloss:
             return albedo * self._incoming(rng, starts, aims)[0]
         gloss = self._gloss[surface.materials]
         shiny = np.nonzero(gloss > 0)[0]
@@ -282,6 +303,17 @@ def _unit_sphere(rng: np.random.Generator, count: int) -> Rays:
     turn *= F32(2 * np.pi)
     radius = np.sqrt(1 - z * z)
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], 1)
+
+
+def white_balance(room: Room, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
+    """Gains of a camera that takes one of the room's lights for white, or something between."""
+    sources = [m for m in room.mesh.materials if m.light in ("lamp", "window") and m.emission > 0]
+    first, second = (sources[int(rng.integers(len(sources)))] for _ in range(2))
+    mixed, share = rng.random(), rng.uniform(0.55, 1.0)
+    a, b = (LINEAR[m.texture[::8, ::8]].mean((0, 1)) for m in (first, second))
+    seen = a / a.mean() * (1 - mixed) + b / b.mean() * mixed
+    gains = seen**-share * np.exp(rng.normal(0, 0.05, 3))
+    return (gains / gains.mean()).astype(F32)
 
 
 def mean_exposure(frames: list[Frame]) -> float:

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from instok3d.rooms.everyday import EverydayThings
 from instok3d.rooms.furnishing import Furnisher
 from instok3d.rooms.levels import Level, level_of
 from instok3d.rooms.materials import Maker, Style
 from instok3d.rooms.mesh import Mesh, build_mesh
+from instok3d.rooms.natural import NaturalMaker
 from instok3d.rooms.plan import Plan
 from instok3d.rooms.seeding import Streams, split_of
 from instok3d.rooms.shell import Shell
@@ -56,9 +58,13 @@ def build_room(seed: int, level: str = "mix") -> Room:
     plan = Plan(width, depth, float(rng.uniform(2.35, 3.0)))
     style = Style(plain=chosen.plain, held_out=held_out)
 
+    kit = NaturalMaker(streams.child("kit"), style).make_kit() if chosen.natural else None
+
     def maker(*key: str | int) -> Maker:
-        return Maker(np.random.default_rng(streams.child(*key).integers(1 << 62)), style)
+        stream = np.random.default_rng(streams.child(*key).integers(1 << 62))
+        return NaturalMaker(stream, style, kit) if kit else Maker(stream, style)
 
     Shell(plan, streams, chosen, room_type, maker).build()
     Furnisher(plan, streams, chosen, room_type, maker, held_out).build()
+    EverydayThings(plan, streams, chosen, room_type, maker).build()
     return Room(seed, chosen, room_type, plan, build_mesh(plan.placed))

@@ -9,10 +9,10 @@ from jaxtyping import Float, UInt8, UInt16
 from instok3d.rooms.camera_path import FRAMES, PathFinder, intrinsics_of
 from instok3d.rooms.denoising import Denoiser
 from instok3d.rooms.mesh import attributes
-from instok3d.rooms.rendering import Frame, Renderer, mean_exposure
+from instok3d.rooms.rendering import Frame, Renderer, mean_exposure, white_balance
 from instok3d.rooms.room import Room, build_room
 from instok3d.rooms.seeding import GENERATOR_VERSION, Streams, split_of
-from instok3d.rooms.sensor import Sensor, developed
+from instok3d.rooms.sensor import Sensor, developed, exposure_for
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,21 @@ def render_scene(
 def _develop(room: Room, frames: list[Frame], streams: Streams) -> tuple[np.ndarray, float]:
     """Pictures with one exposure for the scene, drifting in hard rooms, and a sensor's faults."""
     rng, level = streams.child("exposure"), room.level
-    exposure = mean_exposure(frames) * 2 ** float(rng.uniform(*level.exposure_stops))
+    radiance, contrast = [f.radiance for f in frames], 0.0
+    if level.white_balance:
+        gains = white_balance(room, rng)
+        radiance = [r * gains for r in radiance]
+    if level.mean_luma:
+        contrast = float(rng.uniform(*level.contrast))
+        coarse = np.stack([r[::4, ::4] for r in radiance])
+        exposure = exposure_for(coarse, float(rng.triangular(*level.mean_luma)), contrast)
+    else:
+        exposure = mean_exposure(frames) * 2 ** float(rng.uniform(*level.exposure_stops))
     phase, speed = rng.uniform(0, 2 * np.pi), rng.uniform(0.15, 0.5)
     drift = level.drift_stops * np.sin(phase + speed * np.arange(len(frames)))
     images = [
-        developed(f.radiance, exposure * 2 ** float(d)) for f, d in zip(frames, drift, strict=True)
+        developed(r, exposure * 2 ** float(d), contrast)
+        for r, d in zip(radiance, drift, strict=True)
     ]
     if level.sensor:
         sensor = Sensor.draw(rng)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from instok3d.rooms import colors, pictures, textures
+from instok3d.rooms import colors
 from instok3d.rooms.colors import Number
 from instok3d.rooms.levels import Level
 from instok3d.rooms.materials import Maker, Material
@@ -54,46 +54,6 @@ def footprint_walls(
         angle = float(np.arctan2(along[1], along[0]))
         walls.append(Wall(np.array(start), angle, float(np.hypot(*along))))
     return walls
-
-
-def _floor_material(make: Maker, room_type: str) -> Material:
-    kind, rng = make.rng.random(), make.rng
-    wet = room_type in ("bathroom", "kitchen")
-    if make.style.held_out and make.chance(0.4):
-        return Material("concrete", textures.concrete(rng, make.uniform(0.35, 0.7)), 2)
-    if wet and kind < 0.75:
-        chequered = make.chance(0.2) and not make.style.plain
-        first = colors.hsv(rng.random(), make.uniform(0, 0.25), make.uniform(0.45, 0.95))
-        pair = (
-            (colors.hsv(0.1, 0.05, 0.9), colors.hsv(0.6, 0.1, 0.2)) if chequered else (first, None)
-        )
-        return Material("tiles", textures.tiles(rng, *pair), make.uniform(0.9, 1.8), gloss=0.08)
-    if kind < 0.6:
-        boards = textures.planks(rng, colors.wood(rng))
-        return Material("wood", boards, make.uniform(0.8, 1.3), gloss=0.07)
-    if kind < 0.85:
-        color = colors.hsv(rng.random(), make.uniform(0.03, 0.4), make.uniform(0.25, 0.75))
-        return Material("carpet", textures.carpet(rng, color))
-    color = colors.hsv(rng.random(), make.uniform(0, 0.25), make.uniform(0.45, 0.95))
-    return Material("tiles", textures.tiles(rng, color), make.uniform(1, 2), gloss=0.08)
-
-
-def _wall_materials(make: Maker, room_type: str) -> tuple[Material, Material]:
-    """What most walls are made of, and what one of them is made of."""
-    rng, color = make.rng, colors.soft(make.rng)
-    common = Material("paint", textures.paint(rng, color), 2)
-    if room_type == "bathroom" and make.chance(0.7):
-        pale = colors.hsv(rng.random(), make.uniform(0, 0.3), make.uniform(0.7, 0.95))
-        common = Material("tiles", textures.tiles(rng, pale), make.uniform(0.6, 1.4), gloss=0.1)
-    if make.style.held_out and make.chance(0.5):
-        return common, Material("brick", textures.brick(rng), 1.2)
-    if not make.chance(0.4):
-        return common, common
-    if make.style.plain or make.chance(0.6):
-        accent = colors.vivid(rng, (0.2, 0.6), (0.3, 0.8))
-        return common, Material("paint", textures.paint(rng, accent), 2)
-    darker = np.clip(color * make.uniform(0.75, 0.92), 0, 1)
-    return common, make.pattern("wallpaper", color, darker, make.uniform(0.6, 1.5))
 
 
 def _wall_parts(wall: Wall, height: Number, holes: list[Opening], material: Material) -> list[Part]:
@@ -152,7 +112,7 @@ def _door_parts(make: Maker, frame: Material, width: Number, height: Number) -> 
 
 def _window_parts(make: Maker, frame: Material, hole: Opening, daylight: Number) -> list[Part]:
     """Frame, panes, sill and the view outside, in the wall's frame."""
-    view = Material("glass", pictures.outdoors(make.rng), emission=daylight, light="window")
+    view = make.window_view(daylight)
     width, height, bar, y = (
         hole.right - hole.left,
         hole.high - hole.low,
@@ -200,13 +160,9 @@ class Shell:
         door = self._choose_door()
         windows = self._choose_windows()
         width, depth, height = plan.width, plan.depth, plan.height
-        floor = quad(
-            (0, 0, 0), (width, 0, 0), (0, depth, 0), _floor_material(make, self.room_type), False
-        )
+        floor = quad((0, 0, 0), (width, 0, 0), (0, depth, 0), make.floor(self.room_type), False)
         plan.add(Placed(fixed("floor", [floor]), "shell", 0, 0, 0, 0))
-        white = colors.hsv(0.1, make.uniform(0, 0.06), make.uniform(0.85, 0.97))
-        paint = Material("paint", textures.paint(make.rng, white), 2)
-        ceiling = quad((0, 0, height), (0, depth, 0), (width, 0, 0), paint, False)
+        ceiling = quad((0, 0, height), (0, depth, 0), (width, 0, 0), make.ceiling(), False)
         plan.add(Placed(fixed("ceiling", [ceiling]), "shell", 0, 0, 0, 0))
         common = self._walls(make, door)
         frame = make.white("painted wood") if make.chance(0.6) else make.wood()
@@ -237,8 +193,7 @@ class Shell:
 
     def _choose_windows(self) -> list[tuple[int, Opening]]:
         rng, plan, found = self.rng, self.plan, []
-        odds = {"easy": (0.02, 0.53, 0.45)}.get(self.level.name, (0.12, 0.58, 0.3))
-        wanted = int(rng.choice([0, 1, 2], p=odds))
+        wanted = int(rng.choice([0, 1, 2], p=self.level.windows))
         if self.room_type == "bathroom":
             wanted = min(wanted, int(rng.random() < 0.6))
         for _ in range(wanted * 12):
@@ -264,7 +219,7 @@ class Shell:
         return found
 
     def _walls(self, make: Maker, door: tuple[int, Opening]) -> Material:
-        common, accent = _wall_materials(make, self.room_type)
+        common, accent = make.walls(self.room_type)
         accent_index = make.integer(0, len(self.plan.walls))
         board = make.white("painted wood") if make.chance(0.7) else make.wood()
         board_height = make.uniform(0.06, 0.12) if make.chance(0.85) else 0.0

@@ -61,7 +61,7 @@ def canvas(color: Color | Number) -> Float[np.ndarray, "256 256 3"]:
     return np.ones((SIZE, SIZE, 3), np.float32) * np.asarray(color, np.float32)
 
 
-def _shaded(color: np.ndarray, shade: np.ndarray) -> Texture:
+def shaded(color: np.ndarray, shade: np.ndarray) -> Texture:
     """A colour times 1 + shade."""
     shade = np.asarray(shade, np.float32)[..., None]
     return quantised(np.asarray(color, np.float32) * (1 + shade))
@@ -71,19 +71,19 @@ def plain(rng: np.random.Generator, color: Color, unevenness: Number = 0.01) -> 
     """One colour, slightly uneven."""
     if unevenness == 0:
         return quantised(canvas(color))
-    return _shaded(color, unevenness * noise(rng, 1.5))
+    return shaded(color, unevenness * noise(rng, 1.5))
 
 
 def paint(rng: np.random.Generator, color: Color) -> Texture:
     """A painted wall."""
-    return _shaded(color, 0.012 * noise(rng, 2) + 0.006 * noise(rng, 0.4))
+    return shaded(color, 0.012 * noise(rng, 2) + 0.006 * noise(rng, 0.4))
 
 
 def wood(rng: np.random.Generator, color: Color) -> Texture:
     """Grain that runs up."""
     grain = noise(rng, 2.2, down=0.08 if rng.random() < 0.5 else 0.05)
     rings = np.sin(2 * np.pi * (X * rng.integers(3, 8)) + 1.2 * grain)
-    return _shaded(color, 0.10 * rings + 0.05 * grain + 0.05 * noise(rng, 0.8, down=0.03))
+    return shaded(color, 0.10 * rings + 0.05 * grain + 0.05 * noise(rng, 0.8, down=0.03))
 
 
 def planks(rng: np.random.Generator, color: Color) -> Texture:
@@ -133,29 +133,29 @@ def fabric(rng: np.random.Generator, color: Color) -> Texture:
     """Woven cloth."""
     threads = int(rng.integers(24, 64))
     weave = np.sin(2 * np.pi * threads * X) * np.sin(2 * np.pi * threads * Y)
-    return _shaded(color, 0.06 * weave + 0.05 * noise(rng, 0.6) + 0.05 * noise(rng, 2))
+    return shaded(color, 0.06 * weave + 0.05 * noise(rng, 0.6) + 0.05 * noise(rng, 2))
 
 
 def carpet(rng: np.random.Generator, color: Color) -> Texture:
     """A fitted carpet."""
-    return _shaded(color, 0.12 * noise(rng, 0.5) + 0.05 * noise(rng, 2))
+    return shaded(color, 0.12 * noise(rng, 0.5) + 0.05 * noise(rng, 2))
 
 
 def granite(rng: np.random.Generator, color: Color) -> Texture:
     """Speckled stone."""
-    return _shaded(color, 0.2 * np.tanh(noise(rng, 0.3)) + 0.06 * noise(rng, 2))
+    return shaded(color, 0.2 * np.tanh(noise(rng, 0.3)) + 0.06 * noise(rng, 2))
 
 
 def marble(rng: np.random.Generator, color: Color) -> Texture:
     """Veined stone."""
     veins = np.abs(np.sin(3 * noise(rng, 2.6) + 2 * noise(rng, 3)))
-    return _shaded(color, 0.18 * veins**0.4 - 0.18)
+    return shaded(color, 0.18 * veins**0.4 - 0.18)
 
 
 def concrete(rng: np.random.Generator, value: Number) -> Texture:
     """Bare concrete."""
     color = np.array([value, value, value * 0.98])
-    return _shaded(color, 0.05 * noise(rng, 1.8) + 0.03 * noise(rng, 0.5))
+    return shaded(color, 0.05 * noise(rng, 1.8) + 0.03 * noise(rng, 0.5))
 
 
 def _stripes(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -194,7 +194,7 @@ PATTERNS = {"stripes": _stripes, "checks": _checks, "dots": _dots, "waves": _wav
 def pattern(rng: np.random.Generator, first: Color, second: Color, kind: str) -> Texture:
     """Two colours in one of PATTERNS."""
     amount = np.asarray(PATTERNS[kind](rng, int(rng.integers(2, 9))), float)[..., None]
-    return _shaded(first * (1 - amount) + second * amount, 0.03 * noise(rng, 0.8))
+    return shaded(first * (1 - amount) + second * amount, 0.03 * noise(rng, 0.8))
 
 
 def rug(rng: np.random.Generator) -> Texture:

@@ -1,6 +1,5 @@
 """Lamps: on the floor, on tables, under the ceiling."""
 
-from instok3d.rooms import colors
 from instok3d.rooms.colors import Number
 from instok3d.rooms.materials import Maker, Material
 from instok3d.rooms.objects.base import Furniture, generator, hanging, standing
@@ -53,8 +52,7 @@ def table_lamp(make: Maker) -> Furniture:
 def ceiling_lamp(make: Maker) -> Furniture:
     """A globe or a cone on a cable, or a flat disc."""
     cable, kind, radius = make.uniform(0.1, 0.4), make.integer(0, 3), make.uniform(0.1, 0.22)
-    warm = colors.hsv(0.1, make.uniform(0.02, 0.2), 1)
-    glow = make.plain("glass", warm, 0.0, emission=make.uniform(2.5, 6), light="lamp")
+    glow = make.glow(2.5, 6)
     metal = make.metal()
     if kind == 2:
         disc = cylinder((0, 0, -0.08), radius * 1.3, 0.08, glow, 28)

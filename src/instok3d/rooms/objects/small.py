@@ -123,7 +123,7 @@ def bottle(make: Maker) -> Furniture:
     profile = [
         (radius, 0), (radius, height * 0.6), (neck, height * 0.75), (neck, height), (1e-4, height)
     ]  # fmt: skip
-    label = make.plain("paper", colors.vivid(make.rng), 0.0)
+    label = make.label()
     band = [(radius * 1.02, height * 0.2), (radius * 1.02, height * 0.5)]
     return standing("bottle", [lathe(profile, glass, 16), lathe(band, label, 16)])
 
