@@ -34,8 +34,12 @@ def digest(room: Room) -> str:
     """Of what was placed where, and of which triangles and materials; rounded, as other kinds of
     processors come to slightly other numbers."""
     placed = [
-        (p.generator, p.furniture.name, p.parent)
-        + tuple(round(float(v), 3) + 0.0 for v in (p.x, p.y, p.z, *p.furniture.size))
+        (
+            p.generator,
+            p.furniture.name,
+            p.parent,
+            *tuple(round(float(v), 3) + 0.0 for v in (p.x, p.y, p.z, *p.furniture.size)),
+        )
         for p in room.plan.placed
     ]
     looks = [
