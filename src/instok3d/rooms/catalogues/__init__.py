@@ -1,0 +1,1 @@
+"""Furniture models and texture files from catalogues, for rooms of more variety."""
