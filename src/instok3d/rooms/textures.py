@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 from jaxtyping import Float, UInt8
+from PIL import Image
 
 from instok3d.rooms import colors
 from instok3d.rooms.colors import Color, Number
@@ -54,6 +55,17 @@ def quantised(picture: np.ndarray) -> Texture:
     """A texture of a picture in [0, 1]; what lies outside is clamped."""
     scaled = np.asarray(picture, np.float32) * np.float32(255) + np.float32(0.5)
     return np.clip(scaled, 0, 255, out=scaled).astype(np.uint8)
+
+
+def resampled(picture: UInt8[np.ndarray, "height width 3"], factor: Color) -> Texture:
+    """A texture of a whole picture of any size, stretched to a square, its colours multiplied."""
+    square = Image.fromarray(picture).resize((SIZE, SIZE), Image.Resampling.BOX)
+    return quantised(np.asarray(square, np.float32) / 255 * np.asarray(factor, np.float32))
+
+
+def uniform(color: Color) -> Texture:
+    """One colour, stored once."""
+    return np.broadcast_to(quantised(canvas(color))[:1, :1], (SIZE, SIZE, 3))
 
 
 def canvas(color: Color | Number) -> Float[np.ndarray, "256 256 3"]:

@@ -31,6 +31,8 @@ class Furniture:
     size: tuple[Number, Number, Number]
     """Exact width, depth, height of the box around the parts."""
     supports: tuple[Support, ...] = ()
+    source: str = ""
+    """Where the shape comes from, if not from a generator: "model:chair1"."""
 
 
 Generate = Callable[[Maker], Furniture]
