@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from instok3d.rooms import colors, pictures, prints, textures
+from instok3d.rooms.catalogues.texture_files import TextureCatalogue
 from instok3d.rooms.colors import Color, Number
 from instok3d.rooms.textures import Texture
 
@@ -38,6 +39,8 @@ class Style:
     """No patterned fabrics and wallpapers (easy rooms)."""
     held_out: bool = False
     """HELD_OUT_MATERIALS may appear (transfer rooms)."""
+    textures: TextureCatalogue | None = None
+    """Files that half of the floors, walls, woods and cloths are made of."""
 
 
 HELD_OUT_MATERIALS = ("brick", "concrete", "marble", "zigzag")
@@ -74,8 +77,22 @@ class Maker:
         color = np.ones(3) * color
         return Material(kind, textures.plain(self.rng, color, unevenness), **look)
 
+    def from_file(
+        self, use: str, tile_m: tuple[Number, Number], gloss: Number = 0.0
+    ) -> "Material | None":
+        """A material from a texture file for a use, half of the time; None without files."""
+        files, style = self.style.textures, self.style
+        if files is None or not self.chance(0.5):
+            return None
+        drawn = files.draw(self.rng, use, plain=style.plain, held_out=style.held_out)
+        if drawn is None:
+            return None
+        return Material(use, drawn[0], self.uniform(*tile_m), gloss)
+
     def wood(self) -> Material:
         """Some wood."""
+        if found := self.from_file("wood", (0.7, 1.5), 0.06):
+            return found
         texture = textures.wood(self.rng, colors.wood(self.rng))
         return Material("wood", texture, self.uniform(0.8, 1.6), self.uniform(0, 0.12))
 
@@ -89,6 +106,8 @@ class Maker:
 
     def fabric(self, color: Color | None = None) -> Material:
         """Cloth, a quarter of it patterned."""
+        if color is None and (found := self.from_file("cloth", (0.3, 0.9))):
+            return found
         color = colors.cloth(self.rng) if color is None else color
         if not self.style.plain and self.chance(0.25):
             second = colors.cloth(self.rng)
