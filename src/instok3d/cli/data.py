@@ -46,6 +46,8 @@ def rooms(
     resolution: int = 128,
     workers: int = 2,
     level: Literal["mix", "easy", "medium", "hard", "real"] = "mix",
+    furniture: Path | None = None,
+    textures: Path | None = None,
 ) -> None:
     """Render procedural rooms into a folder; run it again to resume or to add seeds.
 
@@ -59,11 +61,24 @@ def rooms(
         workers: Processes; one a free core.
         level: How hard the rooms are; mix is 30 % easy, 50 % medium, 20 % hard. Rooms of level real
             look like photos: darker, cluttered, finely textured, in mixed light.
+        furniture: Folder of models, catalog.json and GLB files, of which about a third of the
+            furniture is then made. Who made them is written to CREDITS.txt in the folder.
+        textures: Folder of textures, catalog.json and JPEG or PNG files, for half of the floors,
+            walls and woods.
     """
+    from instok3d.rooms.catalogues.opened import Catalogues
     from instok3d.rooms.generate import generate_rooms
 
+    catalogues = Catalogues.open(furniture, textures)
+    for line in catalogues.summary():
+        print(line)
     report = generate_rooms(
-        output, _seed_range(seeds), resolution=resolution, level=level, workers=workers
+        output,
+        _seed_range(seeds),
+        resolution=resolution,
+        level=level,
+        workers=workers,
+        catalogues=catalogues,
     )
     print(
         f"{output}: {report.scenes} new rooms, {report.rejected} seeds rejected, "

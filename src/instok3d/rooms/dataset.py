@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from instok3d.data.scenes import SceneFrames
+from instok3d.rooms.catalogues.opened import credits_of
 from instok3d.rooms.shards import Shard, read_index
 
 
@@ -54,6 +55,7 @@ class RoomDataset:
         index = read_index(self.folder)
         self.resolution: int = index["resolution"]
         self._frames_per_scene: int = index["frames"]
+        self.credits = credits_of(index.get("catalogues", {}))
         found = [
             (seed, name, row, record["levels"][row])
             for name, record in index["shards"].items()

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from instok3d.rooms.catalogues.models import FurnitureCatalogue
 from instok3d.rooms.colors import Number
 from instok3d.rooms.levels import Level
 from instok3d.rooms.materials import Maker
@@ -89,9 +90,11 @@ class Furnisher:
         room_type: str,
         maker: Callable[..., Maker],
         held_out: bool,
+        models: FurnitureCatalogue | None = None,
     ):
         self.plan, self.level, self.room_type = plan, level, room_type
         self.streams, self.maker, self.held_out = streams, maker, held_out
+        self.models = models
         self.count = 0
 
     def build(self) -> None:
@@ -104,6 +107,10 @@ class Furnisher:
 
     def _make(self, name: str) -> Furniture:
         self.count += 1
+        if self.models is not None:
+            model = self.models.draw(self.streams.child("model", name, self.count), name)
+            if model is not None:
+                return model
         return REGISTRY[name](self.maker("object", name, self.count))
 
     def _pick(self, rng: np.random.Generator, weights: Weights) -> str:

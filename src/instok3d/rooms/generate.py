@@ -14,6 +14,12 @@ from typing import TypeVar
 from instok3d.files import write_json
 from instok3d.locking import alone_in, remove_leftovers
 from instok3d.progress import progress_bar
+from instok3d.rooms.catalogues.opened import (
+    NO_CATALOGUES,
+    Catalogues,
+    told_apart,
+    write_credits,
+)
 from instok3d.rooms.denoising import Denoiser, find_denoiser
 from instok3d.rooms.levels import check_level
 from instok3d.rooms.scene import render_scene
@@ -60,10 +66,12 @@ def _denoiser() -> Denoiser | None:
     return _denoisers[0]
 
 
-def _make_shard(shard: int, folder: Path, resolution: int, level: str) -> tuple[int, ShardRecord]:
+def _make_shard(
+    shard: int, folder: Path, resolution: int, level: str, catalogues: Catalogues
+) -> tuple[int, ShardRecord]:
     """Render and write all seeds of one shard."""
     seeds = range(shard * SHARD_SEEDS, (shard + 1) * SHARD_SEEDS)
-    made = {seed: render_scene(seed, resolution, level, _denoiser()) for seed in seeds}
+    made = {seed: render_scene(seed, resolution, level, _denoiser(), catalogues) for seed in seeds}
     scenes = [scene for scene in made.values() if scene is not None]
     write_shard(folder / shard_name(shard), scenes)
     rejected = [seed for seed, scene in made.items() if scene is None]
@@ -71,10 +79,11 @@ def _make_shard(shard: int, folder: Path, resolution: int, level: str) -> tuple[
     return shard, ShardRecord([scene.meta["seed"] for scene in scenes], rejected, levels)
 
 
-def _opened_index(folder: Path, resolution: int, level: str) -> dict:
+def _opened_index(folder: Path, resolution: int, level: str, catalogues: Catalogues) -> dict:
     """The folder's index, made if there is none; it must be of the same kind of rooms."""
+    record = catalogues.record()
     if not (folder / INDEX).exists():
-        write_json(folder / INDEX, new_index(resolution, level))
+        write_json(folder / INDEX, new_index(resolution, level, record))
     index = read_index(folder)
     wanted = {"generator_version": GENERATOR_VERSION, "resolution": resolution, "level": level}
     for key, value in wanted.items():
@@ -83,7 +92,18 @@ def _opened_index(folder: Path, resolution: int, level: str) -> dict:
                 f"{folder} holds rooms with {key} {index.get(key)!r}, not {value!r}; "
                 "choose another folder"
             )
+    there, asked = told_apart(index.get("catalogues", {})), told_apart(record)
+    if there != asked:
+        raise ValueError(
+            f"{folder} holds rooms made with {_spelled(there)}, not with {_spelled(asked)}; "
+            "choose another folder, or the same catalogues"
+        )
+    write_credits(folder, record)
     return index
+
+
+def _spelled(catalogues: dict[str, str]) -> str:
+    return " and ".join(f"{kind} {name}" for kind, name in catalogues.items()) or "no catalogue"
 
 
 @contextmanager
@@ -109,6 +129,7 @@ def generate_rooms(
     resolution: int = 128,
     level: str = "mix",
     workers: int = 2,
+    catalogues: Catalogues = NO_CATALOGUES,
     progress: bool = True,
 ) -> GenerationReport:
     """Render the rooms of some seeds into a folder of shards; finished shards are kept.
@@ -122,6 +143,7 @@ def generate_rooms(
         resolution: Height and width of the pictures, pixels.
         level: mix (30 % easy, 50 % medium, 20 % hard, by seed), easy, medium, hard or real.
         workers: Processes.
+        catalogues: Furniture models and texture files to make some of the rooms' content of.
         progress: A bar on stderr, where that is a terminal.
 
     Raises:
@@ -141,19 +163,27 @@ def generate_rooms(
     with alone_in(folder / LOCK, refusal):
         remove_leftovers(folder)
         try:
-            return _generate(folder, seeds, resolution, level, workers, progress)
+            return _generate(folder, seeds, resolution, level, workers, catalogues, progress)
         finally:
             remove_leftovers(folder)  # of workers that were ended while they wrote
 
 
 def _generate(
-    folder: Path, seeds: range, resolution: int, level: str, workers: int, progress: bool
+    folder: Path,
+    seeds: range,
+    resolution: int,
+    level: str,
+    workers: int,
+    catalogues: Catalogues,
+    progress: bool,
 ) -> GenerationReport:
     shards = range(seeds[0] // SHARD_SEEDS, seeds[-1] // SHARD_SEEDS + 1)
-    done = _opened_index(folder, resolution, level)["shards"]
+    done = _opened_index(folder, resolution, level, catalogues)["shards"]
     names = {s: shard_name(s) for s in shards}
     missing = [s for s, name in names.items() if not (name in done and (folder / name).is_file())]
-    make = partial(_make_shard, folder=folder, resolution=resolution, level=level)
+    make = partial(
+        _make_shard, folder=folder, resolution=resolution, level=level, catalogues=catalogues
+    )
     scenes = rejected = 0
     skipped = (len(shards) - len(missing)) * SHARD_SEEDS
     total = len(shards) * SHARD_SEEDS

@@ -217,6 +217,8 @@ class Maker:
 
     def floor(self, room_type: str) -> Material:
         """Wood, carpet or tiles; concrete where held-out materials may appear."""
+        if found := self.from_file("floor", (0.9, 2.2), 0.07):
+            return found
         kind, rng = self.rng.random(), self.rng
         wet = room_type in ("bathroom", "kitchen")
         if self.style.held_out and self.chance(0.4):
@@ -240,6 +242,8 @@ class Maker:
         """What most walls are made of, and what one of them is made of."""
         rng, color = self.rng, colors.soft(self.rng)
         common = Material("paint", textures.paint(rng, color), 2)
+        if found := self.from_file("wall", (1.0, 2.5)):
+            common = found
         if room_type == "bathroom" and self.chance(0.7):
             pale = colors.hsv(rng.random(), self.uniform(0, 0.3), self.uniform(0.7, 0.95))
             common = Material("tiles", textures.tiles(rng, pale), self.uniform(0.6, 1.4), gloss=0.1)
@@ -247,6 +251,8 @@ class Maker:
             return common, Material("brick", textures.brick(rng), 1.2)
         if not self.chance(0.4):
             return common, common
+        if found := self.from_file("wall", (1.0, 2.5)):
+            return common, found
         if self.style.plain or self.chance(0.6):
             accent = colors.vivid(rng, (0.2, 0.6), (0.3, 0.8))
             return common, Material("paint", textures.paint(rng, accent), 2)

@@ -74,7 +74,8 @@ def attributes(placed: list[Placed], mesh: Mesh) -> list[dict]:
         used = np.unique(mesh.faces[mesh.face_instance == instance])
         corners = mesh.vertices[used]
         records.append({
-            "id": instance, "class": item.furniture.name, "generator": item.generator,
+            "id": instance, "class": item.furniture.name, 
+            "generator": item.furniture.source or item.generator,
             "stuff": item.furniture.name in STUFF, "color": color_name(color),
             "material": main.kind, "size_m": [round(s, 3) for s in item.furniture.size],
             "parent": item.parent,

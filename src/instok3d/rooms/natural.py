@@ -149,6 +149,8 @@ class NaturalMaker(Maker):
 
     def floor(self, room_type: str) -> Material:
         """Boards, carpet, tiles or stone, with the detail of these."""
+        if found := self.from_file("floor", (0.9, 2.2), 0.1):
+            return found
         rng, kind = self.rng, self.rng.random()
         if self.style.held_out and self.chance(0.4):
             return super().floor(room_type)
@@ -176,6 +178,8 @@ class NaturalMaker(Maker):
         return common, (self._wall(room_type) if self.chance(0.4) else common)
 
     def _wall(self, room_type: str) -> Material:
+        if found := self.from_file("wall", (1.0, 2.5)):
+            return found
         rng, color = self.rng, colors.interior(self.rng)
         wet = {"bathroom": 0.75, "kitchen": 0.3}.get(room_type, 0.0)
         if self.chance(wet):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from instok3d.rooms.catalogues.opened import NO_CATALOGUES, Catalogues
 from instok3d.rooms.everyday import EverydayThings
 from instok3d.rooms.furnishing import Furnisher
 from instok3d.rooms.levels import Level, level_of
@@ -42,8 +43,11 @@ class Room:
     mesh: Mesh
 
 
-def build_room(seed: int, level: str = "mix") -> Room:
+def build_room(seed: int, level: str = "mix", catalogues: Catalogues = NO_CATALOGUES) -> Room:
     """The room of a seed. Seeds from 3,000,000 hold content that no other seed has.
+
+    With catalogues some of its furniture and surfaces come from files; the others, the size of the
+    room and its openings stay what they are without.
 
     Raises:
         ValueError: The seed or the level does not exist.
@@ -56,7 +60,7 @@ def build_room(seed: int, level: str = "mix") -> Room:
         room_type = HELD_OUT_ROOM_TYPE
     width, depth = (float(side) for side in rng.uniform(*SIDE_M[room_type], 2))
     plan = Plan(width, depth, float(rng.uniform(2.35, 3.0)))
-    style = Style(plain=chosen.plain, held_out=held_out)
+    style = Style(chosen.plain, held_out, catalogues.textures)
 
     kit = NaturalMaker(streams.child("kit"), style).make_kit() if chosen.natural else None
 
@@ -65,6 +69,7 @@ def build_room(seed: int, level: str = "mix") -> Room:
         return NaturalMaker(stream, style, kit) if kit else Maker(stream, style)
 
     Shell(plan, streams, chosen, room_type, maker).build()
-    Furnisher(plan, streams, chosen, room_type, maker, held_out).build()
+    models = catalogues.furniture
+    Furnisher(plan, streams, chosen, room_type, maker, held_out, models).build()
     EverydayThings(plan, streams, chosen, room_type, maker).build()
     return Room(seed, chosen, room_type, plan, build_mesh(plan.placed))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from instok3d.rooms.camera_path import FRAMES, PathFinder, intrinsics_of
+from instok3d.rooms.catalogues.opened import NO_CATALOGUES, Catalogues
 from instok3d.rooms.denoising import Denoiser
 from instok3d.rooms.mesh import attributes
 from instok3d.rooms.rendering import Frame, Renderer, mean_exposure, white_balance
@@ -28,7 +29,11 @@ class RenderedScene:
 
 
 def render_scene(
-    seed: int, resolution: int = 128, level: str = "mix", denoiser: Denoiser | None = None
+    seed: int,
+    resolution: int = 128,
+    level: str = "mix",
+    denoiser: Denoiser | None = None,
+    catalogues: Catalogues = NO_CATALOGUES,
 ) -> RenderedScene | None:
     """The scene of a seed, or None where no camera path shows enough of it or nothing lights it.
 
@@ -37,7 +42,7 @@ def render_scene(
         ValueError: The seed or the level does not exist.
     """
     streams = Streams(seed)
-    room = build_room(seed, level)
+    room = build_room(seed, level, catalogues)
     if not any(material.emission > 0 for material in room.mesh.materials):
         return None
     renderer = Renderer(room, streams.child("lights"), denoiser)

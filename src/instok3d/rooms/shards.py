@@ -3,7 +3,7 @@
 import json
 import re
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from instok3d.files import write_json, write_safetensors
 from instok3d.geometry.checks import check_intrinsics, rigid_fault
 from instok3d.reading import naming_damage, one_of, parse_json, read_json, whole_number
 from instok3d.rooms.camera_path import FRAMES
+from instok3d.rooms.catalogues.opened import check_record
 from instok3d.rooms.levels import LEVELS
 from instok3d.rooms.scene import RenderedScene
 from instok3d.rooms.seeding import GENERATOR_VERSION
@@ -58,11 +59,14 @@ def write_shard(path: Path, scenes: list[RenderedScene]) -> None:
     write_safetensors(path, tensors, metadata)
 
 
-def new_index(resolution: int, level: str) -> dict[str, Any]:
-    """The index of a folder without shards."""
+def new_index(
+    resolution: int, level: str, catalogues: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The index of a folder without shards; it names catalogues where rooms are made with some."""
+    used = {"catalogues": dict(catalogues)} if catalogues else {}
     return {
         "format": FORMAT, "generator_version": GENERATOR_VERSION, "frames": FRAMES,
-        "resolution": resolution, "level": level, "shards": {},
+        "resolution": resolution, "level": level, **used, "shards": {},
     }  # fmt: skip
 
 
@@ -88,6 +92,7 @@ def read_index(folder: Path) -> dict[str, Any]:
         whole_number(index["frames"], 1, MAX_FRAMES)
         whole_number(index["resolution"], 1, MAX_RESOLUTION)
         _check_records(index["shards"])
+        check_record(index.get("catalogues", {}))
     return index
 
 
