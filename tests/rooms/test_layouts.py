@@ -143,7 +143,7 @@ def test_a_room_without_any_light_is_rejected(levels, monkeypatch):
     room = levels["easy"][0]
     dark = tuple(dataclasses.replace(m, emission=0.0) for m in room.mesh.materials)
     dark_room = dataclasses.replace(room, mesh=dataclasses.replace(room.mesh, materials=dark))
-    monkeypatch.setattr(scene, "build_room", lambda seed, level: dark_room)
+    monkeypatch.setattr(scene, "build_room", lambda *_: dark_room)
     assert scene.render_scene(room.seed, 16, "easy") is None
 
 
