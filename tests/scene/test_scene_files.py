@@ -51,7 +51,7 @@ def test_a_scene_folder_holds_what_it_promises(tmp_path: Path, scene: Scene):
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["room.itk"]
     header = json.loads((tmp_path / "room.itk/scene.json").read_text())
-    assert header["version"] == 2
+    assert header["version"] == 3
     assert header["inputs"] == {view.file: view.sha256 for view in scene.views}
     camera = json.loads((tmp_path / "room.itk/cameras.json").read_text())[1]
     # The second camera stands 0.1 to the right of the first, which is the world.
@@ -217,7 +217,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     ),
     r"objects\.json is damaged": lambda f: (f / "objects.json").write_text("[{"),
     r"objects\.json is damaged.*UTF|codec": lambda f: (f / "objects.json").write_bytes(b"\xff\xfe"),
-    r"scene\.json: .*1 to 2, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
+    r"scene\.json: .*1 to 3, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
     r"scene\.json is damaged .it lacks 'units'": damage_json(
         "scene.json", lambda v: v.pop("units")
     ),

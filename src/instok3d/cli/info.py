@@ -75,6 +75,7 @@ def describe(scene: "Scene") -> str:
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
         *geometry_line(scene),
         *(refinement_line(each) for each in made.refinements),
+        *edited_line(scene),
         *(f"note: {line}" for line in scene.warnings),
     ]
     if scene.objects:
@@ -82,9 +83,11 @@ def describe(scene: "Scene") -> str:
         lines.append(f"{'object':12} {'Gaussians':>9} {'sure':>5} {'best view':>9}  size ({unit})")
     for item in scene.objects:
         size = " x ".join(f"{length:.2f}" for length in item.obb.size)
-        name = item.key if item.label is None else f"{item.key} {item.label}"
-        numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {item.best_view.view:9}"
-        lines.append(f"{name:12} {numbers}  {size}")
+        named = item.label is None or item.key == f"{item.label}#{item.id}"
+        name = item.key if named else f"{item.key} {item.label}"
+        view = "none" if item.best_view is None else item.best_view.view
+        numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {view:>9}"
+        lines.append(f"{name:12} {numbers}  {size}{'  hidden' if item.hidden else ''}")
     return "\n".join(lines)
 
 
@@ -93,6 +96,15 @@ def geometry_line(scene: "Scene") -> list[str]:
     made = scene.provenance
     weights = f" ({made.geometry_sha256[:12]})" if made.geometry_sha256 else ""
     return [f"cameras and depth: {made.geometry}{weights}"] if made.geometry else []
+
+
+def edited_line(scene: "Scene") -> list[str]:
+    """How many edits were done to which scene; nothing where none was."""
+    made = scene.provenance
+    if not made.edits:
+        return []
+    source = f" of the scene {made.edited_from[:12]}"
+    return [f"edited: {len(made.edits)} operation{'s' * (len(made.edits) != 1)}{source}"]
 
 
 def refinement_line(done: "RefinementRecord") -> str:
@@ -111,6 +123,9 @@ def axes(scene: "Scene") -> str:
     certainty = f"within 15 degrees with probability {vertical.confidence:.2f}"
     if scene.frame == "first camera":
         return f"x right, y down, z forward; -y is up {certainty}"
+    if scene.frame == "file":
+        up = ", ".join(f"{value:.3g}" for value in vertical.up)
+        return f"with its axes; up is ({up}) {'as it says' * vertical.is_stated or 'by a guess'}"
     if not vertical.is_stated:
         return "with their axes; the cameras do not tell which way is up"
     up = ", ".join(f"{value:.3g}" for value in vertical.up)

@@ -26,9 +26,10 @@ from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.reading import naming_damage, number, one_of, read_json, text, whole_number
-from instok3d.scene.objects import SceneObject
+from instok3d.scene.object_list import read_entries, read_objects
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import (
+    MAX_FAR,
     Provenance,
     RefinementRecord,
     SceneRecord,
@@ -44,13 +45,13 @@ AXES = {
     "first camera": "OpenCV: x right, y down, z forward; quaternions wxyz; pixel centres at +0.5",
     "given cameras": "cameras OpenCV: x right, y down, z forward; the world as they were given in; "
     "quaternions wxyz; pixel centres at +0.5",
+    "file": "the world of the imported file; quaternions wxyz",
 }
 """By frame."""
 TENSOR_FILES = {"gaussians.safetensors": Gaussians, "tokens.safetensors": SceneTokens}
 FORMAT = "instok3d scene"
 REMEDY = "reconstruct the scene again"
 MAX_VIEWS = 10_000
-MAX_FAR = 1e12
 """More are taken for damage before anything is allocated, as are views that are too large."""
 
 
@@ -136,8 +137,11 @@ def load_record(path: Path) -> SceneRecord:
     height, width = about["height"], about["width"]
     gaussians = _read_gaussians(path, digests)
     tokens = _read_tokens(path, digests)
-    cameras, views = _read_cameras(path / "cameras.json", height, width)
-    objects = _read_objects(path / "objects.json", len(views), height, width, gaussians, tokens)
+    cameras, views = _read_cameras(path / "cameras.json", about["frame"], height, width)
+    objects = read_objects(
+        path / "objects.json", REMEDY, num_views=len(views), height=height, width=width,
+        num_gaussians=len(gaussians.means), num_groups=len(tokens.groups),
+    )  # fmt: skip
     num_anchors = len(tokens.assignment)
     if len(gaussians.anchor_index) and int(gaussians.anchor_index.max()) >= num_anchors:
         raise ValueError(f"{path / 'gaussians.safetensors'}: anchor_index beyond {num_anchors}")
@@ -167,7 +171,7 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
         "height": height,
         "width": width,
         "units": one_of(header["units"], ("metres", "arbitrary")),
-        "frame": one_of(header["frame"], ("first camera", "given cameras")),
+        "frame": one_of(header["frame"], tuple(AXES)),
         "vertical": Vertical.from_json(header["vertical"]) if "vertical" in header else None,
         "near_far": near_far if near_far == FROM_GAUSSIANS else _near_far(near_far),
         "warnings": tuple(text(line) for line in header["warnings"]),
@@ -179,6 +183,8 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
             geometry=text(made.get("geometry", "")),
             geometry_sha256=text(made.get("geometry_sha256", "")),
             refinements=tuple(_refinement(each) for each in made.get("refinements", ())),
+            edits=tuple(text(each) for each in made.get("edits", ())),
+            edited_from=text(made.get("edited_from", "")),
         ),
     }
 
@@ -300,11 +306,16 @@ def _check_shapes(file: Path, tensors: dict[str, Tensor], shapes: dict[str, tupl
             raise ValueError(f"{file}: {name} is {tuple(tensors[name].shape)}, wanted {shape}")
 
 
-def _read_cameras(file: Path, height: int, width: int) -> tuple[Cameras, tuple[SceneView, ...]]:
-    entries = _read_entries(file)
-    if not 1 <= len(entries) <= MAX_VIEWS:
-        raise ValueError(f"{file}: wanted a list of 1 to {MAX_VIEWS} views")
-    poses, intrinsics, views = [], [], []
+def _read_cameras(
+    file: Path, frame: str, height: int, width: int
+) -> tuple[Cameras, tuple[SceneView, ...]]:
+    """The views; only an imported scene may have none."""
+    entries = read_entries(file, REMEDY)
+    least = 0 if frame == "file" else 1
+    if not least <= len(entries) <= MAX_VIEWS:
+        raise ValueError(f"{file}: wanted a list of {least} to {MAX_VIEWS} views")
+    poses, intrinsics = [torch.zeros(0, 4, 4)], [torch.zeros(0, 3, 3)]
+    views = []
     for index, entry in enumerate(entries):
         where = f"{file}: view {index}"
         with naming_damage(where, REMEDY):
@@ -312,11 +323,13 @@ def _read_cameras(file: Path, height: int, width: int) -> tuple[Cameras, tuple[S
                 raise ValueError(f"its size is not that of scene.json, {height} x {width}")
             pixel_map = _pixel_map(entry["pixel_map"], height, width)
             views.append(SceneView(text(entry["file"]), text(entry["sha256"]), pixel_map))
-            poses.append(read_pose(entry["cam_from_world"], where=where))
+            poses.append(read_pose(entry["cam_from_world"], where=where).float()[None])
             intrinsics.append(
-                read_intrinsics(entry["intrinsics"], where=where, height=height, width=width)
+                read_intrinsics(
+                    entry["intrinsics"], where=where, height=height, width=width
+                ).float()[None]
             )
-    return Cameras(torch.stack(poses).float(), torch.stack(intrinsics).float()), tuple(views)
+    return Cameras(torch.cat(poses), torch.cat(intrinsics)), tuple(views)
 
 
 def _pixel_map(value: dict[str, Any], height: int, width: int) -> PixelMap:
@@ -336,47 +349,6 @@ def _pixel_map(value: dict[str, Any], height: int, width: int) -> PixelMap:
     if min(pixel_map.scale_x, pixel_map.scale_y) <= 0:
         raise ValueError("its pixel_map has a scale that is not above 0")
     return pixel_map
-
-
-def _read_objects(
-    file: Path,
-    num_views: int,
-    height: int,
-    width: int,
-    gaussians: Gaussians,
-    tokens: SceneTokens,
-) -> tuple[SceneObject, ...]:
-    entries = _read_entries(file)
-    with naming_damage(file, REMEDY):
-        objects = tuple(SceneObject.from_json(entry) for entry in entries)
-        ids = [item.id for item in objects]
-        if len({item.key for item in objects}) != len(ids):
-            raise ValueError("two objects have one key")
-        if len(set(ids)) != len(ids) or any(not 1 <= i <= len(tokens.groups) for i in ids):
-            raise ValueError("its ids are not distinct or not those of groups")
-        end = 0
-        for item in objects:
-            start, count = item.gaussian_range
-            if start != end or count < 1 or start + count > len(gaussians.means):
-                raise ValueError(f"gaussian_range {start}, {count} of {item.key!r} cannot be")
-            if count != item.num_gaussians:
-                raise ValueError(f"num_gaussians of {item.key!r} is not that of its range, {count}")
-            if not all(0 <= view < num_views for view in (*item.visible_in, item.best_view.view)):
-                raise ValueError(f"{item.key!r} names a view that is not there")
-            x0, y0, x1, y1 = item.best_view.bbox
-            if not (x0 < x1 <= width and y0 < y1 <= height):
-                raise ValueError(f"the bbox of {item.key!r} is not within {height} x {width}")
-            end = start + count
-    return objects
-
-
-def _read_entries(file: Path) -> list[Any]:
-    if not file.is_file():
-        raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
-    entries = read_json(file, REMEDY)
-    if not isinstance(entries, list):
-        raise ValueError(f"{file} is damaged (it holds no list); {REMEDY}")
-    return entries
 
 
 def _near_far(value: Any) -> tuple[float, float]:

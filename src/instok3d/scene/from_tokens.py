@@ -2,36 +2,22 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, TypeVar
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.moving import move_gaussians
 from instok3d.pictures import display_color
-from instok3d.scene.id_maps import group_maps
-from instok3d.scene.objects import BestView, SceneObject, describe_shape
+from instok3d.scene.objects import SceneObject, describe_shape
 from instok3d.scene.record import Provenance, SceneTokens, SceneView, near_and_far
 from instok3d.scene.scene import Scene
+from instok3d.scene.sight import MIN_PIXELS, GroupSight, look
 from instok3d.scene.vertical import find_vertical
 from instok3d.types import Cameras, Gaussians, TokenGroups
-
-MIN_PIXELS = 20
-"""A group is an object only where it wins this many pixels of some input view."""
-
-
-@dataclass(frozen=True)
-class GroupSight:
-    """What each group wins of the input views."""
-
-    pixels: Int[Tensor, "view group"]
-    scores: Float[Tensor, " group"]
-    """Mean of the group's map over all the pixels that it wins; 0 for none."""
-    boxes: Int[Tensor, "view group 4"]
-    """x0, y0, x1, y1 around the pixels, exclusive at the end; zeros for none."""
 
 
 @torch.no_grad()
@@ -102,13 +88,16 @@ def bare_scene(
 def with_objects(scene: Scene) -> Scene:
     """The scene with its objects found anew from the assignment, and its Gaussians sorted.
 
-    See `Scene` for what becomes an object. Not differentiable.
+    See `Scene` for what becomes an object; what is one already stays one, with its key, label
+    and colour, while it has Gaussians. Not differentiable.
     """
-    sight = _sight(scene)
+    sight = look(scene)
     num_groups = scene.tokens.groups.shape[0]
     owner = scene.tokens.assignment.argmax(dim=1)
     num_anchors = owner.bincount(minlength=num_groups + 1)[:num_groups]
     enough = (sight.pixels >= MIN_PIXELS).any(dim=0)
+    known = {item.id - 1: item for item in scene.objects}
+    enough[list(known)] = True
     chosen = ((num_anchors > 0) & enough).nonzero()[:, 0].tolist()
 
     rank = torch.full((num_groups + 1,), len(chosen))
@@ -125,15 +114,16 @@ def with_objects(scene: Scene) -> Scene:
         if count:
             own = gaussians.rows(slice(start, start + count))
             found = _describe(own, group, int(num_anchors[group]), sight)
+            if group in known:
+                old = known[group]
+                found = replace(found, key=old.key, label=old.label, color=old.color,
+                                hidden=old.hidden)  # fmt: skip
             objects.append(replace(found, gaussian_range=(start, count)))
     return replace(scene, gaussians=gaussians, objects=tuple(objects))
 
 
 def _describe(own: Gaussians, group: int, num_anchors: int, sight: GroupSight) -> SceneObject:
     aabb, obb, centroid = describe_shape(own)
-    pixels = sight.pixels[:, group]
-    best = int(pixels.argmax())
-    x0, y0, x1, y1 = sight.boxes[best, group].tolist()
     return SceneObject(
         id=group + 1,
         key=f"object#{group + 1}",
@@ -145,32 +135,8 @@ def _describe(own: Gaussians, group: int, num_anchors: int, sight: GroupSight) -
         num_gaussians=len(own.means),
         gaussian_range=(0, len(own.means)),
         confidence=float(sight.scores[group]),
-        visible_in=tuple((pixels >= MIN_PIXELS).nonzero()[:, 0].tolist()),
-        best_view=BestView(best, (x0, y0, x1, y1), int(pixels[best])),
+        sight=sight.of_group(group),
     )
-
-
-def _sight(scene: Scene) -> GroupSight:
-    """Pixels, scores and boxes of every group, view by view."""
-    num_groups, num_views = scene.tokens.groups.shape[0], len(scene.views)
-    pixels = torch.zeros(num_views, num_groups + 1, dtype=torch.long)
-    sums = torch.zeros(num_groups + 1)
-    boxes = torch.zeros(num_views, num_groups + 1, 4, dtype=torch.long)
-    near, far = scene.near_far
-    for view in range(num_views):
-        maps = group_maps(
-            scene.gaussians, scene.tokens.assignment, scene.cameras.view(view),
-            scene.height, scene.width, near=near, far=far,
-        )  # fmt: skip
-        winners = maps.groups.cpu()
-        pixels[view] = winners.flatten().bincount(minlength=num_groups + 1)
-        sums.index_add_(0, winners.flatten(), maps.scores.cpu().flatten())
-        for group in winners.unique().tolist():
-            y, x = (winners == group).nonzero(as_tuple=True)
-            low_high = [x.min(), y.min(), x.max() + 1, y.max() + 1]
-            boxes[view, group] = torch.stack(low_high)
-    scores = sums / pixels.sum(0).clamp_min(1)
-    return GroupSight(pixels[:, :num_groups], scores[:num_groups], boxes[:, :num_groups])
 
 
 Batched = TypeVar("Batched", Gaussians, Cameras)

@@ -3,7 +3,9 @@
 import math
 import re
 import reprlib
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -11,12 +13,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.rotations import matrix_to_quat, quat_to_matrix
-from instok3d.reading import number, text, whole_number
+from instok3d.reading import number, one_of, text, whole_number
 from instok3d.types import MAX_LENGTH, Gaussians
 
 Point = tuple[float, float, float]
 LARGEST = 100 * MAX_LENGTH
 """What a coordinate or a length can be: of boxes about the largest Gaussians."""
+MAX_LABEL = 100
+"""Characters of a label."""
 TAIL = 0.02
 """Share of an object's opacity that a box leaves out on each side of each axis: haze and strays."""
 
@@ -70,6 +74,48 @@ class BestView:
     pixels: int
 
 
+@dataclass(frozen=True)
+class Sight:
+    """Where the input views show an object, as if no object was hidden."""
+
+    visible_in: tuple[int, ...] = ()
+    """Input views in which it wins enough pixels."""
+    best_view: BestView | None = None
+    """None where no input view shows it."""
+
+
+class LateSight:
+    """A `Sight` that is found when it is first asked for.
+
+    After an edit: looking renders the id maps of all input views, which takes longer than any edit.
+    """
+
+    def __init__(self, find: Callable[[], Sight]) -> None:
+        self._find = find
+
+    @cached_property
+    def _sight(self) -> Sight:
+        return self._find()
+
+    @property
+    def visible_in(self) -> tuple[int, ...]:
+        """As of a `Sight`."""
+        return self._sight.visible_in
+
+    @property
+    def best_view(self) -> BestView | None:
+        """As of a `Sight`."""
+        return self._sight.best_view
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Sight | LateSight):
+            return NotImplemented
+        return (self.visible_in, self.best_view) == (other.visible_in, other.best_view)
+
+    def __hash__(self) -> int:
+        return hash(self._sight)
+
+
 @dataclass(frozen=True, repr=False)
 class SceneObject:
     """One object of a scene."""
@@ -89,23 +135,39 @@ class SceneObject:
     gaussian_range: tuple[int, int]
     """Start and count of its rows among the scene's Gaussians, and in an exported PLY."""
     confidence: float
-    """Mean of the group's composited map over the input pixels that it wins, in [0, 1]."""
-    visible_in: tuple[int, ...]
-    """Input views in which it wins enough pixels."""
-    best_view: BestView
+    """Mean of the group's composited map over the input pixels that it won when the object was
+    found, in [0, 1]; edits keep it. 1 for objects that a file named."""
+    sight: Sight | LateSight = Sight()
     label: str | None = None
+    hidden: bool = False
+    """Not drawn, not exported; its Gaussians stay in the scene."""
+
+    @property
+    def visible_in(self) -> tuple[int, ...]:
+        """Input views in which it wins enough pixels."""
+        return self.sight.visible_in
+
+    @property
+    def best_view(self) -> BestView | None:
+        """The input view that shows most of it; None where none does."""
+        return self.sight.best_view
 
     def __repr__(self) -> str:
         size = "x".join(f"{length:.2g}" for length in self.obb.size)
         label = f" label={self.label!r}" if self.label else ""
+        hidden = " hidden" if self.hidden else ""
         return (
             f"<SceneObject {self.key}{label} gaussians={self.num_gaussians} size={size} "
-            f"confidence={self.confidence:.2f} best_view={self.best_view.view}>"
+            f"confidence={self.confidence:.2f}{hidden}>"
         )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for objects.json."""
-        return asdict(self)
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        del values["sight"]
+        values |= {"visible_in": self.visible_in, "best_view": self.best_view}
+        boxes = AlignedBox | OrientedBox | BestView
+        return {name: asdict(v) if isinstance(v, boxes) else v for name, v in values.items()}
 
     @staticmethod
     def from_json(value: Any) -> "SceneObject":
@@ -117,7 +179,6 @@ class SceneObject:
         color, label = text(value["color"]), value.get("label")
         if not re.fullmatch("#[0-9a-f]{6}", color):
             raise ValueError(f"{reprlib.repr(color)} is no colour such as #40bf9f")
-        view = value["best_view"]
         return SceneObject(
             id=whole_number(value["id"], 1),
             key=text(value["key"]),
@@ -129,14 +190,57 @@ class SceneObject:
             num_gaussians=whole_number(value["num_gaussians"]),
             gaussian_range=_whole_numbers(value["gaussian_range"], 2),
             confidence=_share(value["confidence"]),
-            visible_in=_whole_numbers(value["visible_in"], len(value["visible_in"])),
-            best_view=BestView(
-                view=whole_number(view["view"]),
-                bbox=_whole_numbers(view["bbox"], 4),
-                pixels=whole_number(view["pixels"]),
-            ),
+            sight=_sight(value["visible_in"], value["best_view"]),
             label=None if label is None else text(label),
+            hidden=one_of(value.get("hidden", False), (False, True)),
         )
+
+
+def check_label(label: str) -> str:
+    """A label, without the spaces around it.
+
+    Raises:
+        ValueError: It is empty, longer than MAX_LABEL, has characters that cannot be printed on one
+            line, or could be taken for an id or a key.
+    """
+    words = label.strip()
+    if not 0 < len(words) <= MAX_LABEL or not words.isprintable():
+        raise ValueError(
+            f"the label {reprlib.repr(label)} must be 1 to {MAX_LABEL} printable characters"
+        )
+    if "#" in words or words.isdecimal():
+        raise ValueError(
+            f"the label {reprlib.repr(label)} could be taken for an id or a key: leave out '#' and "
+            "use a word"
+        )
+    return words
+
+
+def find_object(objects: Sequence[SceneObject], which: int | str) -> SceneObject:
+    """The object of an id, a key such as "object#3", or a label.
+
+    Raises:
+        KeyError: There is no such object, or several of that label.
+    """
+    for candidate in objects:
+        if which in (candidate.id, candidate.key) and not isinstance(which, bool):
+            return candidate
+    labelled = [candidate for candidate in objects if candidate.label == which]
+    if len(labelled) == 1:
+        return labelled[0]
+    if labelled:
+        keys = ", ".join(candidate.key for candidate in labelled)
+        raise KeyError(f"{len(labelled)} objects have the label {which!r}; name one of: {keys}")
+    known = ", ".join(str(candidate.id) for candidate in objects) or "none"
+    raise KeyError(f"no object {which!r} in this scene; its ids are: {known}")
+
+
+def _sight(visible_in: Any, best: Any) -> Sight:
+    views = _whole_numbers(visible_in, len(visible_in))
+    if best is None:
+        return Sight(views)
+    view, pixels = whole_number(best["view"]), whole_number(best["pixels"])
+    return Sight(views, BestView(view, _whole_numbers(best["bbox"], 4), pixels))
 
 
 def describe_shape(gaussians: Gaussians) -> tuple[AlignedBox, OrientedBox, Point]:

@@ -12,7 +12,8 @@ from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.reading import naming_damage, read_json, whole_number
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.scene.scene import Scene
-from instok3d.types import Cameras
+from instok3d.scene.vertical import Direction
+from instok3d.types import Cameras, Gaussians
 
 REMEDY = "give a list of cameras with cam_from_world, intrinsics, height and width"
 SWAY = 0.12
@@ -20,6 +21,10 @@ SWAY = 0.12
 so that the orbit stays near the photos."""
 MAX_FRAMES = 100_000
 """More are taken for a slip: at 20 pictures a second this is a film of 83 minutes."""
+FIELD_OF_VIEW_RAD, ABOVE_RAD = math.radians(50.0), math.radians(20.0)
+"""Of the shorter side of pictures around a scene without inputs; how far above it they stand."""
+WIDE = 0.9
+"""Share of the Gaussians' centres that such pictures have room for: strays lie far out."""
 STEEPEST = 0.9
 """Largest cosine between line of sight and vertical at which that keeps pictures upright."""
 
@@ -46,6 +51,11 @@ def camera_path(
     if not 1 <= frames <= MAX_FRAMES:
         raise ValueError(f"frames must lie in 1..{MAX_FRAMES}, got {frames}")
     if name == "inputs":
+        if not scene.views:
+            raise ValueError(
+                'this scene was imported and has no input views: take the path "orbit" or a file '
+                "like cameras.json"
+            )
         own = SizedCameras(scene.cameras, scene.height, scene.width)
     elif name == "orbit":
         own = SizedCameras(orbit(scene, frames), scene.height, scene.width)
@@ -59,8 +69,10 @@ def orbit(scene: Scene, frames: int) -> Cameras:
 
     The point lies in front of that input, as far away as the Gaussians it sees lie in the median.
     The pictures stand upright by the scene's vertical, if that is known from given cameras, and
-    else as that input does.
+    else as that input does. Of a scene without inputs it goes all around, see `around`.
     """
+    if not scene.views:
+        return around(scene.drawn_gaussians(), scene.vertical.up, scene.height, scene.width, frames)
     middle = len(scene.views) // 2
     cam_from_world = scene.cameras.cam_from_world[middle]
     z = (scene.gaussians.means @ cam_from_world[:3, :3].mT + cam_from_world[:3, 3])[:, 2]
@@ -77,6 +89,36 @@ def orbit(scene: Scene, frames: int) -> Cameras:
         cam_from_middle @ cam_from_world,
         scene.cameras.intrinsics[middle].expand(frames, 3, 3),
     )
+
+
+def around(gaussians: Gaussians, up: Direction, height: int, width: int, frames: int) -> Cameras:
+    """Cameras on a circle around Gaussians, somewhat above them, that have them in the picture.
+
+    Args:
+        gaussians: Unbatched.
+        up: Of their world, unit length; the axis of the circle.
+        height: Of the pictures, pixels.
+        width: Likewise.
+        frames: Number of cameras.
+    """
+    means = gaussians.means.detach().cpu().float()
+    center, radius = torch.zeros(3), 1.0
+    if len(means):
+        center = means.median(dim=0).values
+        distances = (means - center).norm(dim=1)
+        radius = float(distances.kthvalue(math.ceil(WIDE * len(distances))).values) or 1.0
+    up_axis = torch.tensor(up, dtype=torch.float32)
+    aside = torch.eye(3)[int(up_axis.abs().argmin())]
+    first = torch.nn.functional.normalize(torch.linalg.cross(up_axis, aside), dim=0)
+    second = torch.linalg.cross(up_axis, first)
+    angle_rad = 2 * math.pi * torch.arange(frames)[:, None] / frames
+    level = angle_rad.cos() * first + angle_rad.sin() * second
+    away = math.cos(ABOVE_RAD) * level + math.sin(ABOVE_RAD) * up_axis
+    distance = radius / math.sin(0.5 * FIELD_OF_VIEW_RAD)
+    cam_from_world = look_at(center + distance * away, center.expand(frames, 3), -up_axis)
+    focal = 0.5 * min(height, width) / math.tan(0.5 * FIELD_OF_VIEW_RAD)
+    intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Cameras(cam_from_world, intrinsics.expand(frames, 3, 3))
 
 
 def _down(scene: Scene, cam_from_world: Float[Tensor, "4 4"]) -> Float[Tensor, " 3"]:

@@ -11,10 +11,13 @@ from PIL import Image
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
 from instok3d.scene.files import save_record
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.paths import around, orbit
 from instok3d.scene.scene import Scene
 
 CELL = 160
 """Height of a picture on the contact sheet, pixels."""
+AROUND = 4
+"""Pictures of a scene without input views on the sheet."""
 
 
 def save_with_previews(
@@ -63,23 +66,37 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
 
 
 def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height width 3"]:
-    """One object alone on white, from the input view that shows most of it."""
-    picture = scene.render([item.best_view.view], only=item.id, background=(1.0, 1.0, 1.0))
+    """One object alone on white, from the input view that shows most of it, or else from around."""
+    best = item.best_view
+    size = scene.height, scene.width
+    cameras = (
+        around(scene.part(item.id), scene.vertical.up, *size, frames=1)
+        if best is None
+        else scene.cameras.view(best.view)
+    )
+    picture = scene.render(cameras, *size, only=item.id, background=(1.0, 1.0, 1.0))
     return color_picture(picture.colors[0])
 
 
 @torch.no_grad()
 def _scene_sheet(scene: Scene, tiles: list[np.ndarray]) -> Image.Image:
-    pictures = scene.render(ids=True)
+    cameras = scene.cameras if scene.views else orbit(scene, AROUND)
+    pictures = scene.render(cameras, scene.height, scene.width, ids=True)
     assert pictures.ids is not None
     photos = scene.photos.cpu().numpy()
-    mixed = (0.35 * photos + 0.65 * id_picture(pictures.ids)).astype(np.uint8)
-    numbers = [f"{index} {view.file}" for index, view in enumerate(scene.views)]
+    behind = photos if scene.views else color_picture(pictures.colors)
+    mixed = (0.35 * behind + 0.65 * id_picture(pictures.ids)).astype(np.uint8)
+    names = [view.file for view in scene.views] or ["around"] * AROUND
+    numbers = [f"{index} {name}" for index, name in enumerate(names)]
     keys = [f"{item.key} {item.num_gaussians}" for item in scene.objects]
     sections = [
         Section("photos", list(photos), numbers),
-        Section("scene at the photos' cameras", list(color_picture(pictures.colors)), numbers),
+        Section(
+            "scene at the photos' cameras" if scene.views else "scene from around",
+            list(color_picture(pictures.colors)), numbers,
+        ),
         Section(f"{len(scene.objects)} objects", list(mixed), numbers),
         Section("each object alone, with its number of Gaussians", tiles, keys),
-    ]
-    return contact_sheet(sections, cell_height=CELL)
+    ]  # fmt: skip
+    shown = [section for section in sections if section.cells or scene.views]
+    return contact_sheet(shown, cell_height=CELL)

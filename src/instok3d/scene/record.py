@@ -16,6 +16,12 @@ NEAR, FAR = 0.02, 40.0
 """In typical distances: 5 cm and 100 m for a room 2.5 m deep."""
 
 
+MAX_FAR = 1e12
+"""Limit of near_far, scene units."""
+
+Frame = Literal["first camera", "given cameras", "file"]
+
+
 @dataclass(frozen=True)
 class SceneView:
     """One photo that the scene was made from."""
@@ -78,11 +84,19 @@ class Provenance:
     """Of its weights; empty where they are the model's own or were in memory."""
     refinements: tuple[RefinementRecord, ...] = ()
     """In the order they were done; after one the tokens no longer give the Gaussians."""
+    edits: tuple[str, ...] = ()
+    """What was edited, in words, in the order it was done (`instok3d.scene.edits`)."""
+    edited_from: str = ""
+    """SHA-256 of gaussians.safetensors of the scene before its first edit; empty without edits."""
 
 
 @dataclass(frozen=True, repr=False)
 class SceneRecord:
-    """The data of a scene; `Scene` adds what can be done with it."""
+    """The data of a scene; `Scene` adds what can be done with it.
+
+    A scene that was imported from a file has no views, and tokens of no channels: one anchor for
+    each object, which belongs to it with probability 1 (`scene.from_gaussians`).
+    """
 
     gaussians: Gaussians
     """Unbatched, sorted by object in the order of `objects`; the rest comes last."""
@@ -90,7 +104,8 @@ class SceneRecord:
     cameras: Cameras
     """Of the input views; intrinsics for pictures of the scene's height and width."""
     height: int
-    """Of the input views as the model saw them, pixels."""
+    """Of the input views as the model saw them, pixels; of a scene without views, of the pictures
+    that are drawn unless another size is asked for."""
     width: int
     objects: tuple[SceneObject, ...]
     """By rising id."""
@@ -99,9 +114,9 @@ class SceneRecord:
     """The input views as the model saw them, sRGB."""
     units: Literal["metres", "arbitrary"]
     """Of all lengths."""
-    frame: Literal["first camera", "given cameras"]
-    """The world: OpenCV axes of the first view's camera, or that of the given cameras, whose
-    axes are their own."""
+    frame: Frame
+    """The world: OpenCV axes of the first view's camera, or that of the given cameras or of the
+    file that the scene was imported from, whose axes are their own."""
     vertical: Vertical
     """Which way is up in it."""
     near_far: tuple[float, float]
@@ -122,10 +137,14 @@ class SceneRecord:
 def near_and_far(gaussians: Gaussians, cameras: Cameras) -> tuple[float, float]:
     """z-depths between which the Gaussians of a new scene are drawn, scene units.
 
-    Relative to the median distance of the Gaussians from the first camera, since the units may be
-    arbitrary.
+    Relative to the median distance of the Gaussians from the first camera, or from their own
+    centre where there is no camera, since the units may be arbitrary.
     """
-    center = invert_rigid(cameras.cam_from_world[0])[:3, 3]
-    distances = (gaussians.means - center).norm(dim=1)
-    typical = float(distances.median()) if len(distances) else 1.0
+    if not len(gaussians.means):
+        return NEAR, FAR
+    if len(cameras.cam_from_world):
+        center = invert_rigid(cameras.cam_from_world[0])[:3, 3]
+    else:
+        center = gaussians.means.median(dim=0).values
+    typical = float((gaussians.means - center).norm(dim=1).median()) or 1.0
     return NEAR * typical, FAR * typical

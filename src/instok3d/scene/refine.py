@@ -63,6 +63,8 @@ def refine(
             settings out of range.
     """
     settings = RefinementSettings(steps=steps, split_share=densify, seed=seed)
+    if not scene.views:
+        raise ValueError("this scene was imported and has no photos to be refined on")
     height = scene.height if pixels is None else pixels
     width = max(1, round(scene.width * height / scene.height))
     check_picture_size(height, width)

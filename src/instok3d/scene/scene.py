@@ -12,7 +12,7 @@ from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
 from instok3d.scene.files import load_record, save_record
 from instok3d.scene.id_maps import group_maps
-from instok3d.scene.objects import SceneObject
+from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.scene.record import SceneRecord
 from instok3d.types import Cameras, Gaussians, Rendering
@@ -40,16 +40,12 @@ class Scene(SceneRecord):
     """
 
     def object(self, which: int | str) -> SceneObject:
-        """The object of an id or a key such as "object#3".
+        """The object of an id, a key such as "object#3", or a label.
 
         Raises:
-            KeyError: The scene has no such object.
+            KeyError: The scene has no such object, or several of that label.
         """
-        for candidate in self.objects:
-            if which in (candidate.id, candidate.key):
-                return candidate
-        known = ", ".join(str(candidate.id) for candidate in self.objects) or "none"
-        raise KeyError(f"no object {which!r} in this scene; its ids are: {known}")
+        return find_object(self.objects, which)
 
     def render(
         self,
@@ -70,7 +66,8 @@ class Scene(SceneRecord):
                 given, and are of the scene's own size where none is; where both are, they see
                 more on two sides instead of being stretched, with a warning.
             width: Likewise.
-            only: Ids or keys of the objects to draw; None draws everything, the rest too.
+            only: Ids or keys of the objects to draw, hidden ones too; None draws everything that is
+                not hidden, the rest too.
             ids: Return id maps too (not differentiable; see `group_maps`).
             background: sRGB behind everything.
 
@@ -87,7 +84,7 @@ class Scene(SceneRecord):
         else:
             sized = resize_cameras(self._input_cameras(cameras), height, width)
             cameras, height, width = sized.cameras, sized.height, sized.width
-        gaussians = self.gaussians if only is None else self.part(only)
+        gaussians = self.drawn_gaussians() if only is None else self.part(only)
         near, far = self.near_far
         rendering = render(
             gaussians, cameras, height, width, background=tuple(background), near=near, far=far
@@ -109,6 +106,16 @@ class Scene(SceneRecord):
         rows = rows.to(self.gaussians.means.device)
         return self.gaussians.rows(rows)
 
+    def drawn_gaussians(self) -> Gaussians:
+        """The Gaussians without those of hidden objects, in the scene's order."""
+        hidden = [item.gaussian_range for item in self.objects if item.hidden]
+        if not hidden:
+            return self.gaussians
+        rows = torch.ones(len(self.gaussians.means), dtype=torch.bool)
+        for start, count in hidden:
+            rows[start : start + count] = False
+        return self.gaussians.rows(rows.to(self.gaussians.means.device))
+
     def object_ids(self) -> Int[Tensor, " gaussian"]:
         """The id of the object of each Gaussian, 0 for the rest."""
         ids = torch.zeros(len(self.gaussians.means), dtype=torch.long)
@@ -127,6 +134,11 @@ class Scene(SceneRecord):
         save_record(self, Path(path), overwrite=overwrite)
 
     def _input_cameras(self, views: Sequence[int] | None) -> SizedCameras:
+        if not self.views:
+            raise ValueError(
+                "this scene was imported and has no input views: give cameras "
+                "(instok3d.scene.paths.orbit; on the command line --path orbit)"
+            )
         indices = list(range(len(self.views)) if views is None else views)
         if any(not 0 <= index < len(self.views) for index in indices):
             raise ValueError(f"views must lie in 0..{len(self.views) - 1}, got {indices}")

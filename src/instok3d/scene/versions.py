@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-VERSION = 2
+VERSION = 3
 """Raised when a reader of the old version would misread the new one."""
 FROM_GAUSSIANS = ("from", "gaussians")
 """near_far of an upgraded header: to be computed. A tuple, which no JSON file can hold."""
@@ -16,7 +16,12 @@ def _from_1(header: dict[str, Any]) -> dict[str, Any]:
     return header | {"inputs_folder": "previews/inputs", "near_far": FROM_GAUSSIANS}
 
 
-UPGRADES: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1}
+def _from_2(header: dict[str, Any]) -> dict[str, Any]:
+    """Version 2 knew no edits, no hidden objects and no scene without photos."""
+    return header
+
+
+UPGRADES: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1, 2: _from_2}
 """From each version to the next one."""
 INPUTS_FOLDERS = ("inputs", "previews/inputs")
 """Where photos may lie in a scene folder; a header that names another place is damaged."""

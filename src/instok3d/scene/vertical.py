@@ -32,9 +32,10 @@ class Vertical:
 
     up: Direction
     """Unit length."""
-    source: Literal["first camera", "given cameras"]
+    source: Literal["first camera", "given cameras", "file"]
     """first camera: its image-up direction, which is the world's -y, whatever was photographed.
-    given cameras: estimated from how they are turned."""
+    given cameras: estimated from how they are turned. file: as an imported file says, or guessed
+    with confidence 0 where it says nothing."""
     confidence: float
     """Probability that it lies within NEAR_RAD of the true one, if people hold cameras level."""
 
@@ -47,11 +48,11 @@ class Vertical:
         """
         x, y, z = (float(number) for number in value["up"])
         source, confidence = value["source"], float(value["confidence"])
-        known = source in ("first camera", "given cameras")
+        known = source in ("first camera", "given cameras", "file")
         if not known or not 0.99 < math.hypot(x, y, z) < 1.01 or not 0 <= confidence <= 1:
             raise ValueError(
                 f"vertical is {value}; wanted up of length 1, a confidence in [0, 1] and as source "
-                "'first camera' or 'given cameras'"
+                "'first camera', 'given cameras' or 'file'"
             )
         return Vertical((x, y, z), source, confidence)
 
