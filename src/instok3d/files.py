@@ -138,14 +138,20 @@ def write_safetensors(
     Not `save_file`: it hides a full disk behind an error type of its own, and it shuffles the
     metadata from call to call.
     """
+    data = safetensors_bytes(tensors, metadata)
+    with replacing(path) as part:
+        part.write_bytes(data)
+
+
+def safetensors_bytes(
+    tensors: "Mapping[str, Tensor]", metadata: Mapping[str, str] | None = None
+) -> bytes:
+    """The safetensors file of some tensors; equal tensors and metadata give equal bytes."""
     from safetensors.torch import save  # brings torch, which `instok3d --help` need not wait for
 
     contiguous = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     data = save(contiguous, dict(metadata) if metadata else None)
-    if metadata:
-        data = _with_ordered_metadata(data)
-    with replacing(path) as part:
-        part.write_bytes(data)
+    return _with_ordered_metadata(data) if metadata else data
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

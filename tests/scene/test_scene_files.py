@@ -2,7 +2,7 @@ import errno
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -14,14 +14,15 @@ import instok3d
 from instok3d.files import sha256_of
 from instok3d.scene import files
 from instok3d.scene.previews import save_with_previews
+from instok3d.scene.record import SceneRecord
 from instok3d.scene.scene import Scene
 from kill_points import every_kill
 from made_scene import made_empty_scene, made_scene, made_tokens
 
 
 def assert_same(first: Scene, second: Scene) -> None:
-    for name, value in vars(first).items():
-        other = getattr(second, name)
+    for name in (field.name for field in fields(SceneRecord)):
+        value, other = getattr(first, name), getattr(second, name)
         if isinstance(value, torch.Tensor):
             assert torch.equal(value, other), name
         elif hasattr(value, "__dataclass_fields__") and name not in ("provenance", "vertical"):

@@ -8,6 +8,7 @@ in the folder, such as previews/, is not read.
 """
 
 import dataclasses
+import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,14 @@ from PIL import Image
 from safetensors.torch import load_file
 from torch import Tensor
 
-from instok3d.files import json_text, replacing_folder, sha256_of, write_safetensors
+from instok3d.files import (
+    json_text,
+    replacing,
+    replacing_folder,
+    safetensors_bytes,
+    sha256_of,
+    write_safetensors,
+)
 from instok3d.geometry.camera_json import read_intrinsics, read_pose
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
@@ -61,6 +69,7 @@ def save_record(
     *,
     overwrite: bool = False,
     more: Callable[[Path], None] | None = None,
+    edited: int = 0,
 ) -> None:
     """Write the scene folder, complete or not at all; the same scene gives the same bytes.
 
@@ -69,6 +78,7 @@ def save_record(
         path: The folder, such as room.itk.
         overwrite: Replace a scene that is already there; it stays until the new one is complete.
         more: Called with the folder before it gets its name, to write more files into it.
+        edited: How many edits the log has that `more` writes.
 
     Raises:
         FileExistsError: Something is at `path`, and `overwrite` is off or it is no scene.
@@ -90,7 +100,12 @@ def save_record(
         _write_json(part / "cameras.json", _cameras_json(scene))
         _write_json(part / "objects.json", [item.to_json() for item in scene.objects])
         digests = {name: sha256_of(part / name) for name in sorted(TENSOR_FILES)}
-        _write_json(part / "scene.json", _scene_json(scene, digests))
+        _write_json(part / "scene.json", _scene_json(scene, digests) | {"edited": edited})
+
+
+def gaussians_sha256(gaussians: Gaussians) -> str:
+    """SHA-256 of the gaussians.safetensors that a scene of these Gaussians has."""
+    return hashlib.sha256(safetensors_bytes(vars(gaussians))).hexdigest()
 
 
 def check_target(path: Path, *, overwrite: bool) -> None:
@@ -117,20 +132,16 @@ def check_target(path: Path, *, overwrite: bool) -> None:
 
 
 def load_record(path: Path) -> SceneRecord:
-    """What the folder of a scene holds, on the CPU; older versions are upgraded in memory.
+    """What the folder of a scene holds, on the CPU, before any edit of its log.
+
+    Older versions are upgraded in memory.
 
     Raises:
         FileNotFoundError: No folder there, or a file of it is missing.
         ValueError: It is of a newer version, damaged, or inconsistent; the sentence names the
             file and what is wrong with it.
     """
-    bring_back(path)
-    if not path.is_dir():
-        raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
-    if not (path / "scene.json").is_file():
-        raise FileNotFoundError(f"{path} is not a scene folder: it has no scene.json")
-    file = path / "scene.json"
-    header = upgraded(read_json(file, REMEDY), file)
+    header, file = _read_header(path), path / "scene.json"
     with naming_damage(file, REMEDY):
         about = _about(header)
         digests = {name: text(header["sha256"][name]) for name in TENSOR_FILES}
@@ -158,6 +169,44 @@ def load_record(path: Path) -> SceneRecord:
         objects=objects,
         photos=_read_photos(path / header["inputs_folder"], len(views), height, width),
     )
+
+
+def read_digest(path: Path) -> tuple[str, int]:
+    """The SHA-256 of a scene's gaussians.safetensors, and the number of edits that it says to have.
+
+    Raises:
+        FileNotFoundError, ValueError: As `load_record`.
+    """
+    header = _read_header(path)
+    with naming_damage(path / "scene.json", REMEDY):
+        digest = text(header["sha256"]["gaussians.safetensors"])
+        return digest, whole_number(header.get("edited", 0))
+
+
+def write_edited(path: Path, record: SceneRecord, edited: int) -> None:
+    """Say in the scene.json of a folder, whose other files stay, how many edits its log has.
+
+    Args:
+        path: The scene folder.
+        record: What `load_record` gives of it.
+        edited: Edits that are done.
+    """
+    header = _read_header(path)
+    header |= {"version": VERSION, "near_far": list(record.near_far), "edited": edited}
+    write_text = json_text(header) + "\n"
+    with replacing(path / "scene.json") as part:
+        part.write_text(write_text, encoding="utf-8")
+
+
+def _read_header(path: Path) -> dict[str, Any]:
+    """scene.json as one of today."""
+    bring_back(path)
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
+    file = path / "scene.json"
+    if not file.is_file():
+        raise FileNotFoundError(f"{path} is not a scene folder: it has no scene.json")
+    return upgraded(read_json(file, REMEDY), file)
 
 
 def _about(header: dict[str, Any]) -> dict[str, Any]:

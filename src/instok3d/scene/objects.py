@@ -264,6 +264,17 @@ def describe_shape(gaussians: Gaussians) -> tuple[AlignedBox, OrientedBox, Point
     return aligned, box, _floats(center.tolist(), 3)
 
 
+def extent_along(gaussians: Gaussians, direction: Point) -> tuple[float, float]:
+    """Where unbatched Gaussians, at least one, begin and end along a direction of unit length.
+
+    As far as their boxes reach: the quantiles from TAIL to 1 - TAIL.
+    """
+    points, weights = _support(gaussians)
+    axis = torch.tensor(direction, dtype=torch.float64)
+    low, high = _extent((points @ axis)[:, None], weights)
+    return float(low), float(high)
+
+
 def _support(
     gaussians: Gaussians,
 ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, " point"]]:

@@ -9,7 +9,6 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
-from instok3d.scene.files import save_record
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.paths import around, orbit
 from instok3d.scene.scene import Scene
@@ -37,7 +36,7 @@ def save_with_previews(
             it is.
 
     Raises:
-        FileExistsError, FileNotFoundError, PermissionError: As `save_record`.
+        FileExistsError, FileNotFoundError, PermissionError: As `Scene.save`.
     """
     begin = progress or (lambda stage: None)
 
@@ -45,7 +44,7 @@ def save_with_previews(
         write_previews(scene, folder / "previews", progress=begin)
         begin("save")
 
-    save_record(scene, path, overwrite=overwrite, more=previews)
+    scene.save(path, overwrite=overwrite, more=previews)
 
 
 def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) -> None:

@@ -1,6 +1,6 @@
 """A reconstructed scene: its objects, and pictures of them from anywhere."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +10,12 @@ from torch import Tensor
 
 from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
-from instok3d.scene.files import load_record, save_record
+from instok3d.scene.edits.editable import EditableScene
+from instok3d.scene.edits.folder import read_history, save_history
+from instok3d.scene.files import load_record
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
-from instok3d.scene.record import SceneRecord
 from instok3d.types import Cameras, Gaussians, Rendering
 
 MAP_BYTES = 10
@@ -30,7 +31,7 @@ class Pictures(Rendering):
 
 
 @dataclass(frozen=True, repr=False)
-class Scene(SceneRecord):
+class Scene(EditableScene):
     """Objects and the Gaussians they consist of.
 
     An anchor belongs to the group with the largest assignment probability, or to none where the
@@ -124,14 +125,42 @@ class Scene(SceneRecord):
             ids[start : start + count] = item.id
         return ids
 
-    @staticmethod
-    def load(path: str | Path) -> "Scene":
-        """The scene of a folder; see `instok3d.scene.files.load_record`."""
-        return Scene(**vars(load_record(Path(path))))
+    def drawn(self) -> "Scene":
+        """The scene without its hidden objects, for what is exported."""
+        hidden = [item.id for item in self.objects if item.hidden]
+        return self.remove(*hidden) if hidden else self
 
-    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the scene folder, without previews; see `instok3d.scene.files.save_record`."""
-        save_record(self, Path(path), overwrite=overwrite)
+    @staticmethod
+    def load(path: str | Path, *, edits: bool = True) -> "Scene":
+        """The scene of a folder, with the edits of its log; without them it is the source.
+
+        Raises:
+            FileNotFoundError, ValueError: See `instok3d.scene.edits.folder.read_history`.
+        """
+        if not edits:
+            return Scene(**vars(load_record(Path(path))))
+        history = read_history(Path(path))
+        return Scene(**vars(history.current), history=history)
+
+    def save(
+        self,
+        path: str | Path,
+        *,
+        overwrite: bool = False,
+        more: Callable[[Path], None] | None = None,
+    ) -> None:
+        """Write the scene folder, without previews; of an edited scene the source and the log.
+
+        Args:
+            path: The folder, such as room.itk.
+            overwrite: Replace a scene that is already there.
+            more: Called with the folder before it gets its name, to write more files into it.
+
+        Raises:
+            FileExistsError, FileNotFoundError, PermissionError, ValueError: See
+                `instok3d.scene.files.save_record`.
+        """
+        save_history(self, self.history, Path(path), overwrite=overwrite, more=more)
 
     def _input_cameras(self, views: Sequence[int] | None) -> SizedCameras:
         if not self.views:

@@ -1,0 +1,261 @@
+"""The log of edits in a scene folder: edits.jsonl, and beside it the tensors that edits need.
+
+The first line says format, version, the source's hash, and how many of the following lines are
+done; the others were undone and can be redone. Each line is one operation with the ids of its
+objects. Tensors lie in edits/, in files named by their SHA-256. docs/formats.md has every field.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import torch
+from safetensors.torch import load as load_tensors
+from torch import Tensor
+
+from instok3d.files import replacing, safetensors_bytes
+from instok3d.geometry.moving import Similarity
+from instok3d.reading import naming_damage, number, parse_json, text, whole_number
+from instok3d.scene.edits.arguments import color, factor
+from instok3d.scene.edits.history import History
+from instok3d.scene.edits.operations import OPERATIONS, Edit
+from instok3d.scene.edits.ownership import Part
+from instok3d.scene.record import SceneRecord
+from instok3d.types import Gaussians, check_gaussians
+
+LOG, ASSETS = "edits.jsonl", "edits"
+FORMAT, VERSION = "instok3d edits", 1
+REMEDY = "take the scene without its edits (Scene.load(path, edits=False)), or another copy of it"
+MAX_EDITS = 1_000_000
+"""Lines of a log; more are taken for damage."""
+
+
+def write_log(folder: Path, history: History) -> None:
+    """Write the log of a history into the folder of its source, whole or not at all.
+
+    Tensors first, then the log; then those that no line names any more go.
+    """
+    wanted: dict[str, bytes] = {}
+    lines = [
+        {"format": FORMAT, "version": VERSION, "source": history.source_sha256,
+         "done": len(history.edits)},
+        *(_line(edit, wanted) for edit in (*history.edits, *history.undone)),
+    ]  # fmt: skip
+    assets = folder / ASSETS
+    if wanted:
+        assets.mkdir(exist_ok=True)
+    for name, data in wanted.items():
+        if not (assets / name).is_file():
+            with replacing(assets / name) as part:
+                part.write_bytes(data)
+    with replacing(folder / LOG) as part:
+        rows = (json.dumps(line, allow_nan=False, ensure_ascii=False) for line in lines)
+        part.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    for file in assets.glob("*.safetensors"):
+        if file.name not in wanted:
+            file.unlink()
+
+
+def read_log(folder: Path, source: SceneRecord, source_sha256: str) -> History:
+    """The history of a scene folder; one without edits where it has no log.
+
+    Args:
+        folder: The scene folder.
+        source: What its other files hold.
+        source_sha256: Of its gaussians.safetensors.
+
+    Raises:
+        FileNotFoundError: A file that the log names is missing.
+        ValueError: The log is damaged, of a newer version, of another scene, or holds an operation
+            that is not known or cannot be done.
+    """
+    file = folder / LOG
+    begun = History.begin(source, source_sha256)
+    if not file.is_file():
+        return begun
+    rows = file.read_bytes().splitlines()
+    if not 1 <= len(rows) <= MAX_EDITS:
+        raise ValueError(f"{file} is damaged (it has {len(rows)} lines); {REMEDY}")
+    done = _read_header(parse_json(rows[0], f"{file}: line 1", REMEDY), file, source_sha256)
+    if done >= len(rows):
+        raise ValueError(
+            f"{file} is damaged ({len(rows) - 1} edits are there, its first line says {done}); "
+            f"{REMEDY}"
+        )
+    edits = []
+    for index, row in enumerate(rows[1:], 2):
+        where = f"{file}: line {index}"
+        edits.append(_read_edit(parse_json(row, where, REMEDY), where, folder / ASSETS))
+    try:
+        return begun.replayed(tuple(edits[:done]), tuple(edits[done:]))
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged ({error}); {REMEDY}") from error
+
+
+def _read_header(value: Any, file: Path, source_sha256: str) -> int:
+    """How many edits are done."""
+    with naming_damage(f"{file}: line 1", REMEDY):
+        if value["format"] != FORMAT:
+            raise ValueError(f"its format is {value['format']!r}, not {FORMAT!r}")
+        version = whole_number(value["version"], 1)
+        if version > VERSION:
+            raise ValueError(
+                f"{file}: line 1: this program reads logs of version {VERSION}, not {version}; use "
+                "a newer program"
+            )
+        if text(value["source"]) != source_sha256:
+            raise ValueError("it belongs to another scene, whose Gaussians are not these")
+        return whole_number(value["done"])
+
+
+def _read_edit(value: Any, where: str, assets: Path) -> Edit:
+    with naming_damage(where, REMEDY):
+        name = text(value["edit"])
+        if name not in OPERATIONS:
+            raise ValueError(
+                f"{where}: there is no operation {name!r}; this program knows "
+                f"{', '.join(OPERATIONS)}: use a newer program"
+            )
+        kind: Any = OPERATIONS[name]
+        wanted = _kinds(kind)
+        extra = set(value) - set(wanted) - {"edit"}
+        if extra:
+            raise ValueError(f"unknown keys {sorted(extra)}")
+        return kind(**{key: each.read(value[key], assets) for key, each in wanted.items()})
+
+
+def _line(edit: Edit, wanted: dict[str, bytes]) -> dict[str, Any]:
+    """The operation in plain values; its tensors are added to what is wanted, by file name."""
+    values: dict[str, Any] = {"edit": edit.name}
+    for name, kind in _kinds(type(edit)).items():
+        values[name] = kind.write(getattr(edit, name), wanted)
+    return values
+
+
+def _kinds(operation: Any) -> dict[str, "Kind"]:
+    """How each field of an operation is written and read, by its annotation."""
+    hints = get_type_hints(operation, include_extras=True)
+    return {field.name: KINDS[hints[field.name].__metadata__[0]] for field in fields(operation)}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a kind of field is written and read."""
+
+    write: Callable[[Any, dict[str, bytes]], Any]
+    """Plain value of a value; adds files to the dictionary."""
+    read: Callable[[Any, Path], Any]
+    """The value of a plain value, with the folder of the files; raises what is wrong with it."""
+
+
+def _plain(read: Callable[[Any], Any], write: Callable[[Any], Any] = lambda value: value) -> Kind:
+    return Kind(lambda value, wanted: write(value), lambda value, assets: read(value))
+
+
+def _ids(value: Any) -> tuple[int, ...]:
+    ids = tuple(whole_number(each, 1) for each in value)
+    if not isinstance(value, list) or not ids or len(set(ids)) < len(ids):
+        raise ValueError(f"{value} is no list of different ids")
+    return ids
+
+
+def _motion(value: Any) -> Similarity:
+    w, x, y, z = (number(each) for each in value["quat_wxyz"])
+    if abs(w * w + x * x + y * y + z * z - 1) > 1e-6:
+        raise ValueError(f"{value['quat_wxyz']} is no quaternion of unit length")
+    # A turn or scaling about a far point is a long translation: carried() checks what comes out.
+    x_by, y_by, z_by = (number(each) for each in value["translation"])
+    return Similarity((x_by, y_by, z_by), (w, x, y, z), factor(value["scale"], "scale"))
+
+
+def _share(value: Any) -> float:
+    if not 0 <= number(value) <= 1:
+        raise ValueError(f"{value} is no number in [0, 1]")
+    return number(value)
+
+
+def _put(tensors: Mapping[str, Tensor], wanted: dict[str, bytes]) -> str:
+    data = safetensors_bytes(tensors)
+    name = f"{hashlib.sha256(data).hexdigest()}.safetensors"
+    wanted[name] = data
+    return name
+
+
+def _get(value: Any, assets: Path, names: set[str]) -> dict[str, Tensor]:
+    name = text(value)
+    digest = name.removesuffix(".safetensors")
+    if len(digest) != 64 or set(digest) - set("0123456789abcdef") or name == digest:
+        raise ValueError(f"{name[:80]!r} is no name of a file of an edit")
+    file = assets / name
+    if not file.is_file():
+        raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
+    data = file.read_bytes()
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise ValueError(f"{file.name} is not the file that the edit was written for")
+    tensors = load_tensors(data)
+    if set(tensors) != names:
+        raise ValueError(f"{file.name} holds {sorted(tensors)}, wanted {sorted(names)}")
+    return tensors
+
+
+def _write_rows(value: Tensor, wanted: dict[str, bytes]) -> str | None:
+    return _put({"rows": value}, wanted) if len(value) else None
+
+
+def _read_rows(value: Any, assets: Path) -> Tensor:
+    if value is None:
+        return torch.zeros(0, dtype=torch.long)
+    rows = _get(value, assets, {"rows"})["rows"]
+    if rows.dtype != torch.int64 or rows.ndim != 1 or not len(rows) or int(rows.min()) < 0:
+        raise ValueError(f"{rows.dtype} {tuple(rows.shape)} are no rows")
+    return rows
+
+
+def _write_part(value: Part, wanted: dict[str, bytes]) -> str:
+    own = {"positions": value.positions, "anchors": value.anchors, "group": value.group}
+    return _put({**vars(value.gaussians), **own}, wanted)
+
+
+def _read_part(value: Any, assets: Path) -> Part:
+    names = [field.name for field in fields(Gaussians)]
+    tensors = _get(value, assets, {*names, "positions", "anchors", "group"})
+    for name, each in tensors.items():
+        if each.dtype != (torch.int64 if name == "anchor_index" else torch.float32):
+            raise ValueError(f"{name} is {each.dtype}")
+    n, k, c = len(tensors["means"]), len(tensors["positions"]), tensors["group"].shape[-1]
+    shapes = {
+        "means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,),
+        "sh": (n, tensors["sh"].shape[min(1, tensors["sh"].ndim - 1)], 3), "anchor_index": (n,),
+        "positions": (k, 3), "anchors": (k, c), "group": (c,),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if tuple(tensors[name].shape) != shape:
+            raise ValueError(f"{name} is {tuple(tensors[name].shape)}, wanted {shape}")
+    gaussians = Gaussians(**{name: tensors[name] for name in names})
+    check_gaussians(gaussians, "the part")
+    tokens = [tensors[name] for name in ("positions", "anchors", "group")]
+    if not n or not all(each.isfinite().all() for each in tokens):
+        raise ValueError("a part needs Gaussians, and tokens that are finite")
+    if int(gaussians.anchor_index.max()) >= k:
+        raise ValueError(f"anchor_index beyond {k}")
+    return Part(gaussians, *tokens)
+
+
+KINDS: dict[str, Kind] = {
+    "id": _plain(lambda value: whole_number(value, 1)),
+    "ids": _plain(_ids, list),
+    "motion": _plain(_motion, lambda value: {
+        "translation": list(value.translation), "quat_wxyz": list(value.quat_wxyz),
+        "scale": value.scale,
+    }),
+    "color": _plain(lambda value: color([number(each) for each in value]), list),
+    "text": _plain(text),
+    "label": _plain(lambda value: None if value is None else text(value)),
+    "share": _plain(_share),
+    "rows": Kind(_write_rows, _read_rows),
+    "part": Kind(_write_part, _read_part),
+}  # fmt: skip
+"""By the kinds of the operations' fields."""

@@ -1,0 +1,397 @@
+# ruff: noqa: D102 - apply and words are documented by Edit
+"""The operations that an edit log can hold: what each does to a scene, exactly and at once.
+
+All that had to be decided (where an object stands, which Gaussians go with it) is in the operation,
+so that doing it again on the same scene gives the same bytes. `requests` makes them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from instok3d.geometry.moving import NO_TURN, Similarity, carry_gaussians
+from instok3d.geometry.spherical_harmonics import SH_CONSTANT
+from instok3d.pictures import display_color
+from instok3d.scene.edits.ownership import (
+    Part,
+    given_to,
+    part_of,
+    rebuilt,
+    row_ids,
+    with_part,
+    without_rows,
+)
+from instok3d.scene.objects import (
+    AlignedBox,
+    OrientedBox,
+    SceneObject,
+    check_label,
+    find_object,
+)
+from instok3d.scene.record import SceneRecord
+from instok3d.types import Gaussians, check_gaussians
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of linear sRGB; used on coded values, as a measure of light and dark."""
+DARKEST = 0.02
+"""Mean luminance below which an object has no shading that a new colour could keep."""
+
+
+@runtime_checkable
+class Edit(Protocol):
+    """One operation. Its fields say by a word how the log keeps them (`log.KINDS`)."""
+
+    name: ClassVar[str]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        """The scene after it.
+
+        Raises:
+            KeyError: An object is not there.
+            ValueError: It cannot be done on this scene.
+        """
+        ...
+
+    def words(self, scene: SceneRecord) -> str:
+        """What it does, in words, with the names that the objects have before it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Remove:
+    """Objects go, and Gaussians of others that were claimed with them."""
+
+    name: ClassVar[str] = "remove"
+    objects: Annotated[tuple[int, ...], "ids"]
+    claimed: Annotated[Int[Tensor, " row"], "rows"]
+    """Rows among the scene's Gaussians that go too: haloes at the rim (`edits.claim`)."""
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        dropped = _rows_of(scene, self.objects)
+        dropped[_checked_rows(self.claimed, len(dropped))] = True
+        return without_rows(scene, dropped, self.objects)
+
+    def words(self, scene: SceneRecord) -> str:
+        rim = f" and {len(self.claimed)} Gaussians at the rim" if len(self.claimed) else ""
+        return f"remove {_keys(scene, self.objects)}{rim}"
+
+
+@dataclass(frozen=True)
+class Only:
+    """Everything goes but some objects."""
+
+    name: ClassVar[str] = "only"
+    objects: Annotated[tuple[int, ...], "ids"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        dropped = ~_rows_of(scene, self.objects)
+        gone = {0} | {item.id for item in scene.objects} - set(self.objects)
+        return without_rows(scene, dropped, gone)
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"keep {_keys(scene, self.objects)} alone"
+
+
+@dataclass(frozen=True)
+class Move:
+    """An object is moved, turned, scaled."""
+
+    name: ClassVar[str] = "move"
+    object: Annotated[int, "id"]
+    motion: Annotated[Similarity, "motion"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        item = object_of(scene, self.object)
+        part = part_of(scene, item)
+        moved = carried(part, self.motion)
+        positions = scene.tokens.positions.clone()
+        own = scene.gaussians.rows(_range(item)).anchor_index.unique()
+        positions[own] = moved.positions
+        tokens = replace(scene.tokens, positions=positions)
+        changed = _with_range(scene.gaussians, item, moved.gaussians)
+        counts = {each.id: each.num_gaussians for each in scene.objects}
+        return rebuilt(scene, changed, tokens, scene.objects, counts, {item.id})
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"move {_moved_words(scene, self.object, self.motion)}"
+
+
+@dataclass(frozen=True)
+class Duplicate:
+    """A second one of an object, moved away from the first."""
+
+    name: ClassVar[str] = "duplicate"
+    object: Annotated[int, "id"]
+    motion: Annotated[Similarity, "motion"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        item = object_of(scene, self.object)
+        part = carried(part_of(scene, item), self.motion)
+        return with_part(scene, part, new_object(scene, item.label, item.confidence))
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"duplicate {_moved_words(scene, self.object, self.motion)}"
+
+
+@dataclass(frozen=True)
+class Insert:
+    """An object of another scene, already in this one's world."""
+
+    name: ClassVar[str] = "insert"
+    part: Annotated[Part, "part"]
+    label: Annotated[str | None, "label"]
+    confidence: Annotated[float, "share"]
+    origin: Annotated[str, "text"]
+    """Where it comes from, in words."""
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        if self.part.anchors.shape[1] != scene.tokens.anchors.shape[1]:
+            raise ValueError(
+                f"the part has tokens of {self.part.anchors.shape[1]} channels, the scene of "
+                f"{scene.tokens.anchors.shape[1]}"
+            )
+        return with_part(scene, self.part, new_object(scene, self.label, self.confidence))
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"insert {self.origin} as {new_object(scene, self.label, 1.0).key}"
+
+
+@dataclass(frozen=True)
+class Recolor:
+    """An object gets another colour; light and dark on it stay."""
+
+    name: ClassVar[str] = "recolor"
+    object: Annotated[int, "id"]
+    color: Annotated[tuple[float, float, float], "color"]
+    """SRGB in [0, 1]."""
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        item = object_of(scene, self.object)
+        own = scene.gaussians.rows(_range(item))
+        changed = _with_range(scene.gaussians, item, recolored(own, self.color))
+        return rebuilt(
+            scene, changed, scene.tokens, scene.objects,
+            {each.id: each.num_gaussians for each in scene.objects}, (),
+        )  # fmt: skip
+
+    def words(self, scene: SceneRecord) -> str:
+        color = "".join(f"{round(255 * value):02x}" for value in self.color)
+        return f"recolor {_keys(scene, [self.object])}: #{color}"
+
+
+@dataclass(frozen=True)
+class Merge:
+    """Objects become one: the first of them."""
+
+    name: ClassVar[str] = "merge"
+    objects: Annotated[tuple[int, ...], "ids"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        target, *others = (object_of(scene, number) for number in self.objects)
+        if not others or len(set(self.objects)) < len(self.objects):
+            raise ValueError(f"merge needs two or more different objects, got {self.objects}")
+        chosen = _rows_of(scene, [each.id for each in others])
+        weights = [each.num_gaussians for each in (target, *others)]
+        sums = [n * each.confidence for n, each in zip(weights, (target, *others), strict=True)]
+        merged = given_to(scene, chosen, replace(target, confidence=sum(sums) / sum(weights)))
+        pi = merged.tokens.assignment.clone()
+        rows = pi.argmax(dim=1) == target.id - 1
+        for each in others:
+            pi[rows, target.id - 1] += pi[rows, each.id - 1]
+            pi[rows, each.id - 1] = 0
+        counts = {each.id: each.num_gaussians for each in merged.objects}
+        tokens = replace(merged.tokens, assignment=pi)
+        return rebuilt(merged, merged.gaussians, tokens, merged.objects, counts, ())
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"merge {_keys(scene, self.objects)}"
+
+
+@dataclass(frozen=True)
+class Split:
+    """Some Gaussians of an object become a new one."""
+
+    name: ClassVar[str] = "split"
+    object: Annotated[int, "id"]
+    rows: Annotated[Int[Tensor, " row"], "rows"]
+    """Counted within the object."""
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        item = object_of(scene, self.object)
+        rows = _checked_rows(self.rows, item.num_gaussians)
+        if not 0 < len(rows.unique()) < item.num_gaussians:
+            raise ValueError(f"{len(rows)} of {item.num_gaussians} Gaussians are no part of it")
+        chosen = torch.zeros(len(scene.gaussians.means), dtype=torch.bool)
+        chosen[item.gaussian_range[0] + rows] = True
+        new = new_object(scene, item.label, item.confidence)
+        return given_to(scene, chosen, replace(new, hidden=item.hidden))
+
+    def words(self, scene: SceneRecord) -> str:
+        new = new_object(scene, object_of(scene, self.object).label, 1.0).key
+        return f"split {_keys(scene, [self.object])}: {len(self.rows)} Gaussians are {new}"
+
+
+@dataclass(frozen=True)
+class Rename:
+    """An object gets a label, and a key made of it."""
+
+    name: ClassVar[str] = "rename"
+    object: Annotated[int, "id"]
+    label: Annotated[str, "text"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        item, label = object_of(scene, self.object), check_label(self.label)
+        return _exchanged(scene, replace(item, label=label, key=f"{label}#{item.id}"))
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"rename {_keys(scene, [self.object])}: {self.label}"
+
+
+@dataclass(frozen=True)
+class Hide:
+    """Objects are no longer drawn."""
+
+    name: ClassVar[str] = "hide"
+    objects: Annotated[tuple[int, ...], "ids"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        for number in self.objects:
+            scene = _exchanged(scene, replace(object_of(scene, number), hidden=True))
+        return scene
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"hide {_keys(scene, self.objects)}"
+
+
+@dataclass(frozen=True)
+class Show:
+    """Objects are drawn again."""
+
+    name: ClassVar[str] = "show"
+    objects: Annotated[tuple[int, ...], "ids"]
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        for number in self.objects:
+            scene = _exchanged(scene, replace(object_of(scene, number), hidden=False))
+        return scene
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"show {_keys(scene, self.objects)}"
+
+
+OPERATIONS: dict[str, type[Edit]] = {
+    kind.name: kind
+    for kind in (
+        Remove, Only, Move, Duplicate, Insert, Recolor, Merge, Split, Rename, Hide, Show
+    )
+}  # fmt: skip
+"""By the name that stands in a log."""
+
+
+def object_of(scene: SceneRecord, which: int | str) -> SceneObject:
+    """The object of an id, a key or a label; see `find_object`."""
+    return find_object(scene.objects, which)
+
+
+def new_object(scene: SceneRecord, label: str | None, confidence: float) -> SceneObject:
+    """An object with the next id, which is described when it has Gaussians."""
+    number, nowhere = len(scene.tokens.groups) + 1, (0.0, 0.0, 0.0)
+    return SceneObject(
+        id=number, key=f"{label or 'object'}#{number}", color=display_color(number),
+        aabb=AlignedBox(nowhere, nowhere), obb=OrientedBox(nowhere, nowhere, NO_TURN),
+        centroid=nowhere, num_anchors=0, num_gaussians=0, gaussian_range=(0, 0),
+        confidence=confidence, label=label,
+    )  # fmt: skip
+
+
+def carried(part: Part, motion: Similarity) -> Part:
+    """A part moved, turned, scaled.
+
+    Raises:
+        ValueError: It would be too far away, too large or too small to be drawn.
+    """
+    gaussians = carry_gaussians(part.gaussians, motion)
+    check_gaussians(gaussians, "the object, moved like this,")
+    return replace(part, gaussians=gaussians, positions=motion.points(part.positions))
+
+
+def recolored(gaussians: Gaussians, color: Sequence[float]) -> Gaussians:
+    """Gaussians in one hue whose mean is a colour and whose luminance varies as it did.
+
+    The colour of each becomes luminance / mean luminance x `color`, in every direction; what has
+    hardly any luminance gets the colour without shading.
+
+    Args:
+        gaussians: Unbatched.
+        color: SRGB in [0, 1].
+    """
+    sh = gaussians.sh.double()
+    target = torch.tensor(color, dtype=torch.float64)
+    luminance = sh @ torch.tensor(LUMINANCE, dtype=torch.float64)
+    luminance[:, 0] += 0.5 / SH_CONSTANT  # of the colour itself, not of its distance from grey
+    weights = gaussians.opacities.double().clamp_min(1e-6)
+    mean = float((weights * luminance[:, 0]).sum() / weights.sum()) * SH_CONSTANT
+    if mean < DARKEST:
+        luminance = torch.zeros_like(luminance)
+        luminance[:, 0], mean = 1 / SH_CONSTANT, 1.0
+    tinted = luminance[..., None] / mean * target
+    tinted[:, 0] -= 0.5 / SH_CONSTANT
+    return replace(gaussians, sh=tinted.to(gaussians.sh.dtype))
+
+
+def _rows_of(scene: SceneRecord, ids: Sequence[int]) -> Tensor:
+    for number in ids:
+        object_of(scene, number)
+    return torch.isin(row_ids(scene), torch.tensor([*ids], dtype=torch.long))
+
+
+def _range(item: SceneObject) -> slice:
+    start, count = item.gaussian_range
+    return slice(start, start + count)
+
+
+def _with_range(gaussians: Gaussians, item: SceneObject, own: Gaussians) -> Gaussians:
+    """The Gaussians with those of one object exchanged, apart from their anchors."""
+    fields = {}
+    for name, value in vars(gaussians).items():
+        if name != "anchor_index":
+            value = value.clone()
+            value[_range(item)] = vars(own)[name]
+        fields[name] = value
+    return Gaussians(**fields)
+
+
+def _exchanged(scene: SceneRecord, item: SceneObject) -> SceneRecord:
+    objects = tuple(item if each.id == item.id else each for each in scene.objects)
+    return replace(scene, objects=objects)
+
+
+def _checked_rows(rows: Tensor, count: int) -> Tensor:
+    if len(rows) and not 0 <= int(rows.min()) <= int(rows.max()) < count:
+        raise ValueError(f"rows up to {int(rows.max())} of {count} Gaussians cannot be")
+    return rows
+
+
+def _keys(scene: SceneRecord, ids: Sequence[int]) -> str:
+    return ", ".join(object_of(scene, number).key for number in ids)
+
+
+def _moved_words(scene: SceneRecord, number: int, motion: Similarity) -> str:
+    """Key, way of the box's centre, turn and scale."""
+    item = object_of(scene, number)
+    center = torch.tensor([item.obb.center], dtype=torch.float64)
+    by = ", ".join(
+        f"{round(value, 6):.4g}" for value in (motion.points(center) - center)[0].tolist()
+    )
+    w, *axis = motion.quat_wxyz
+    length = math.hypot(*axis)
+    about = ", ".join(f"{value / max(length, 1e-12):.3g}" for value in axis)
+    angle = math.degrees(2 * math.atan2(length, w))
+    turned = f", turned by {angle:.4g} degrees about ({about})" if length else ""
+    scaled = f", times {motion.scale:.4g}" if motion.scale != 1 else ""
+    return f"{item.key} by ({by}){turned}{scaled}"
