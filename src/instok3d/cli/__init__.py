@@ -19,6 +19,7 @@ COMMANDS = {
     "reconstruct": "photos in, a scene of objects out",
     "refine": "a scene made sharper on its photos",
     "info": "what is in a scene",
+    "edit": "objects removed, moved, inserted, merged; undo and redo",
     "render": "pictures or a film of a scene",
     "export": "a scene as a PLY file for splat viewers",
     "doctor": "what this machine has and lacks",

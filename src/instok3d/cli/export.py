@@ -35,7 +35,7 @@ def run(
     from instok3d.scene.scene import Scene
 
     check_file(output, overwrite=overwrite, endings=(".ply",))
-    loaded = Scene.load(scene)
+    loaded = Scene.load(scene) if only is not None else Scene.load(scene).drawn()
     ids = loaded.object_ids()
     if only is not None:
         item = loaded.object(object_name(only))

@@ -100,11 +100,10 @@ def geometry_line(scene: "Scene") -> list[str]:
 
 def edited_line(scene: "Scene") -> list[str]:
     """How many edits were done to which scene; nothing where none was."""
-    made = scene.provenance
-    if not made.edits:
-        return []
-    source = f" of the scene {made.edited_from[:12]}"
-    return [f"edited: {len(made.edits)} operation{'s' * (len(made.edits) != 1)}{source}"]
+    from instok3d.scene.edits.disclosure import edited_words
+
+    words = edited_words(scene)
+    return [words] if words else []
 
 
 def refinement_line(done: "RefinementRecord") -> str:

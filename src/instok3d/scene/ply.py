@@ -10,6 +10,7 @@ from jaxtyping import Int, Num
 from torch import Tensor
 
 from instok3d.files import replacing
+from instok3d.scene.edits.disclosure import edited_words
 from instok3d.scene.scene import Scene
 from instok3d.types import MAX_LENGTH, Gaussians
 
@@ -119,6 +120,7 @@ def scene_comments(scene: Scene) -> tuple[str, ...]:
         f"instok3d generator: {scene.provenance.generator}",
         world,
         f"instok3d units: {scene.units}",
+        *([f"instok3d {edited_words(scene)}"] if scene.provenance.edits else []),
         "instok3d order: sorted by object; rows of each object in objects.json, gaussian_range",
     )
 

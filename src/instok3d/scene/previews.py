@@ -1,5 +1,6 @@
 """Pictures that show at a glance what is in a scene."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 
+from instok3d.files import replacing_folder
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.paths import around, orbit
@@ -45,6 +47,16 @@ def save_with_previews(
         begin("save")
 
     scene.save(path, overwrite=overwrite, more=previews)
+
+
+def write_previews_anew(scene: Scene, path: Path) -> None:
+    """Exchange the previews of a scene folder, if it has some, for those of an edited scene."""
+    if (path / "previews").is_dir():
+        with replacing_folder(path / "previews") as folder:
+            inputs = path / "previews" / "inputs"
+            if inputs.is_dir():  # the photos of a scene folder of version 1
+                shutil.copytree(inputs, folder / "inputs")
+            write_previews(scene, folder, progress=lambda stage: None)
 
 
 def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) -> None:

@@ -1,7 +1,7 @@
 """A reconstructed scene: its objects, and pictures of them from anywhere."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -12,6 +12,7 @@ from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
 from instok3d.scene.edits.editable import EditableScene
 from instok3d.scene.edits.folder import read_history, save_history
+from instok3d.scene.edits.ownership import drawn_rows, row_ids
 from instok3d.scene.files import load_record
 from instok3d.scene.id_maps import group_maps
 from instok3d.scene.objects import SceneObject, find_object
@@ -109,26 +110,20 @@ class Scene(EditableScene):
 
     def drawn_gaussians(self) -> Gaussians:
         """The Gaussians without those of hidden objects, in the scene's order."""
-        hidden = [item.gaussian_range for item in self.objects if item.hidden]
-        if not hidden:
+        if not any(item.hidden for item in self.objects):
             return self.gaussians
-        rows = torch.ones(len(self.gaussians.means), dtype=torch.bool)
-        for start, count in hidden:
-            rows[start : start + count] = False
-        return self.gaussians.rows(rows.to(self.gaussians.means.device))
+        return self.gaussians.rows(drawn_rows(self).to(self.gaussians.means.device))
 
     def object_ids(self) -> Int[Tensor, " gaussian"]:
         """The id of the object of each Gaussian, 0 for the rest."""
-        ids = torch.zeros(len(self.gaussians.means), dtype=torch.long)
-        for item in self.objects:
-            start, count = item.gaussian_range
-            ids[start : start + count] = item.id
-        return ids
+        return row_ids(self)
 
     def drawn(self) -> "Scene":
-        """The scene without its hidden objects, for what is exported."""
+        """The scene without its hidden objects, for what is exported; hiding was the edit."""
         hidden = [item.id for item in self.objects if item.hidden]
-        return self.remove(*hidden) if hidden else self
+        if not hidden:
+            return self
+        return replace(self.remove(*hidden), provenance=self.provenance)
 
     @staticmethod
     def load(path: str | Path, *, edits: bool = True) -> "Scene":

@@ -5,10 +5,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from instok3d.geometry.moving import NO_TURN, Similarity, quat_about
 from instok3d.scene.edits.arguments import Number, degrees, factor, point
 from instok3d.scene.edits.arguments import color as checked_color
+from instok3d.scene.edits.claim import claimed_rows, hole_of
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.operations import (
     Duplicate,
@@ -26,7 +29,7 @@ from instok3d.scene.edits.operations import (
     carried,
     object_of,
 )
-from instok3d.scene.edits.ownership import Part, part_of
+from instok3d.scene.edits.ownership import Part, part_of, row_ids
 from instok3d.scene.edits.pieces import connected_pieces, gap_of, inside_box
 from instok3d.scene.edits.placing import (
     base_of_object,
@@ -67,13 +70,34 @@ class EditableScene(SceneRecord):
         """
         return self._edited(Only(self._ids(objects)))
 
-    def remove(self: AnyScene, *objects: Which) -> AnyScene:
+    def remove(self: AnyScene, *objects: Which, claim: bool = False) -> AnyScene:
         """The scene without some objects; what no photo saw behind them is not there.
+
+        Args:
+            objects: What goes.
+            claim: Take Gaussians of others along that show the object more than anything else, as
+                haloes at its rim do, and mark the hole in the input views (`hole`). Renders the
+                input views.
 
         Raises:
             KeyError: The scene has no such object.
         """
-        return self._edited(Remove(self._ids(objects), torch.zeros(0, dtype=torch.long)))
+        ids = self._ids(objects)
+        if not claim:
+            return self._edited(Remove(ids, torch.zeros(0, dtype=torch.long)))
+        claimed = claimed_rows(self, ids)
+        dropped = torch.isin(row_ids(self), torch.tensor(ids))
+        dropped[claimed] = True
+        return self._edited(Remove(ids, claimed, hole_of(self, dropped)))
+
+    def hole(self) -> Bool[Tensor, "view height width"]:
+        """Pixels of the input views that showed what was removed, as far as it was marked."""
+        masks = torch.zeros(len(self.views), self.height, self.width, dtype=torch.bool)
+        for edit in self.history.edits if self.history is not None else ():
+            mask = edit.hole if isinstance(edit, Remove) else None
+            if mask is not None and mask.shape == masks.shape:
+                masks |= mask
+        return masks
 
     def move(
         self: AnyScene,
@@ -153,7 +177,7 @@ class EditableScene(SceneRecord):
             scale=length, yaw_rad=degrees(yaw, "yaw"),
         )  # fmt: skip
         part = self._fitting(carried(part_of(other, item), motion), other)
-        origin = f"{item.key} of a scene of {len(other.gaussians.means)} Gaussians"
+        origin = f"{item.key} of the scene {gaussians_sha256(other.gaussians)}"
         return self._edited(Insert(part, item.label, item.confidence, origin))
 
     def recolor(self: AnyScene, which: Which, color: str | Sequence[Number]) -> AnyScene:

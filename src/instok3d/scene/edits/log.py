@@ -214,6 +214,19 @@ def _read_rows(value: Any, assets: Path) -> Tensor:
     return rows
 
 
+def _write_masks(value: Tensor | None, wanted: dict[str, bytes]) -> str | None:
+    return None if value is None else _put({"masks": value}, wanted)
+
+
+def _read_masks(value: Any, assets: Path) -> Tensor | None:
+    if value is None:
+        return None
+    masks = _get(value, assets, {"masks"})["masks"]
+    if masks.dtype != torch.bool or masks.ndim != 3:
+        raise ValueError(f"{masks.dtype} {tuple(masks.shape)} are no masks of views")
+    return masks
+
+
 def _write_part(value: Part, wanted: dict[str, bytes]) -> str:
     own = {"positions": value.positions, "anchors": value.anchors, "group": value.group}
     return _put({**vars(value.gaussians), **own}, wanted)
@@ -256,6 +269,7 @@ KINDS: dict[str, Kind] = {
     "label": _plain(lambda value: None if value is None else text(value)),
     "share": _plain(_share),
     "rows": Kind(_write_rows, _read_rows),
+    "masks": Kind(_write_masks, _read_masks),
     "part": Kind(_write_part, _read_part),
 }  # fmt: skip
 """By the kinds of the operations' fields."""

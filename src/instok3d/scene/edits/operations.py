@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from instok3d.geometry.moving import NO_TURN, Similarity, carry_gaussians
@@ -70,6 +70,8 @@ class Remove:
     objects: Annotated[tuple[int, ...], "ids"]
     claimed: Annotated[Int[Tensor, " row"], "rows"]
     """Rows among the scene's Gaussians that go too: haloes at the rim (`edits.claim`)."""
+    hole: Annotated[Bool[Tensor, "view height width"] | None, "masks"] = None
+    """Pixels of the input views that showed what goes; None where nobody looked."""
 
     def apply(self, scene: SceneRecord) -> SceneRecord:
         dropped = _rows_of(scene, self.objects)
@@ -385,13 +387,14 @@ def _moved_words(scene: SceneRecord, number: int, motion: Similarity) -> str:
     """Key, way of the box's centre, turn and scale."""
     item = object_of(scene, number)
     center = torch.tensor([item.obb.center], dtype=torch.float64)
-    by = ", ".join(
-        f"{round(value, 6):.4g}" for value in (motion.points(center) - center)[0].tolist()
-    )
+    way = [round(value, 6) + 0.0 for value in (motion.points(center) - center)[0].tolist()]
     w, *axis = motion.quat_wxyz
     length = math.hypot(*axis)
-    about = ", ".join(f"{value / max(length, 1e-12):.3g}" for value in axis)
+    about = ", ".join(f"{value / max(length, 1e-12) + 0.0:.3g}" for value in axis)
     angle = math.degrees(2 * math.atan2(length, w))
-    turned = f", turned by {angle:.4g} degrees about ({about})" if length else ""
-    scaled = f", times {motion.scale:.4g}" if motion.scale != 1 else ""
-    return f"{item.key} by ({by}){turned}{scaled}"
+    words = [
+        "by (" + ", ".join(f"{value:.4g}" for value in way) + ")" if any(way) else "",
+        f"turned by {angle:.4g} degrees about ({about})" if length else "",
+        f"times {motion.scale:.4g}" if motion.scale != 1 else "",
+    ]
+    return f"{item.key} " + (", ".join(each for each in words if each) or "not at all")

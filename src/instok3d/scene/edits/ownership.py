@@ -57,6 +57,16 @@ def row_ids(scene: SceneRecord) -> Int[Tensor, " gaussian"]:
     return ids
 
 
+def drawn_rows(scene: SceneRecord) -> Bool[Tensor, " gaussian"]:
+    """Which Gaussians are drawn: all but those of hidden objects."""
+    drawn = torch.ones(len(scene.gaussians.means), dtype=torch.bool)
+    for item in scene.objects:
+        if item.hidden:
+            start, count = item.gaussian_range
+            drawn[start : start + count] = False
+    return drawn
+
+
 def with_group(tokens: SceneTokens, token: Float[Tensor, " channel"]) -> SceneTokens:
     """The tokens with one more group, to which no anchor belongs yet."""
     pi = tokens.assignment

@@ -1,0 +1,68 @@
+"""What goes with a removed object: Gaussians of others at its rim, and the hole that it leaves."""
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from instok3d.refinement.assignment import weights_by_group
+from instok3d.render import render
+from instok3d.scene.edits.ownership import row_ids
+from instok3d.scene.record import SceneRecord
+
+MIN_SHARE = 0.5
+"""Of a Gaussian's visible weight that lies in the pixels of the object."""
+MIN_WEIGHT = 0.05
+"""Pixels' worth of visible weight below which a Gaussian shows nothing, and stays."""
+NEAR_SHARE = 0.25
+"""Of the longest side of the object's box: how far outside of the box Gaussians are claimed."""
+
+
+def claimed_rows(scene: SceneRecord, ids: tuple[int, ...]) -> Int[Tensor, " row"]:
+    """Rows of the Gaussians of others that show what is removed more than anything else.
+
+    Haloes: Gaussians beside the object whose visible weight lies, over all input views, by more
+    than MIN_SHARE in the pixels that the object wins.
+
+    Args:
+        scene: Before the removal.
+        ids: Of the objects that are removed.
+    """
+    if not scene.views or not len(scene.gaussians.means):
+        return torch.zeros(0, dtype=torch.long)
+    near, far = scene.near_far
+    weights = weights_by_group(
+        scene.gaussians, scene.tokens.assignment, scene.cameras, scene.height, scene.width,
+        near=near, far=far,
+    )  # fmt: skip
+    own = torch.isin(row_ids(scene), torch.tensor(ids))
+    total = weights.sum(dim=1)
+    inside = weights[:, [number - 1 for number in ids]].sum(dim=1)
+    beside = torch.zeros_like(own)
+    for item in scene.objects:
+        if item.id in ids:
+            margin = NEAR_SHARE * max(item.obb.size)
+            low, high = torch.tensor(item.aabb.min) - margin, torch.tensor(item.aabb.max) + margin
+            means = scene.gaussians.means
+            beside |= ((means >= low) & (means <= high)).all(dim=1)
+    claimed = ~own & beside & (total >= MIN_WEIGHT) & (inside > MIN_SHARE * total)
+    return claimed.nonzero()[:, 0]
+
+
+@torch.no_grad()
+def hole_of(
+    scene: SceneRecord, dropped: Bool[Tensor, " gaussian"]
+) -> Bool[Tensor, "view height width"]:
+    """The pixels of the input views more than half of whose picture goes with some Gaussians."""
+    near, far = scene.near_far
+    masks = torch.zeros(len(scene.views), scene.height, scene.width, dtype=torch.bool)
+    alone = type(scene.gaussians)(
+        **{**vars(scene.gaussians), "anchor_index": dropped.long()}
+    )  # fmt: skip
+    for view in range(len(scene.views)):
+        maps = render(
+            alone, scene.cameras.view(view), scene.height, scene.width,
+            anchor_features=torch.tensor([[0.0], [1.0]]), near=near, far=far,
+        ).features  # fmt: skip
+        assert maps is not None
+        masks[view] = maps[0, 0] > 0.5
+    return masks
