@@ -13,6 +13,9 @@ from instok3d.reading import naming_damage, one_of, read_json, text, whole_numbe
 FORMAT = "instok3d-features-1"
 INDEX = "features.json"
 REMEDY = "make the features anew with `instok3d train cache` into another folder"
+"""What to do about a damaged index."""
+REPLACE = "run `instok3d train cache` again to replace it"
+"""What to do about another damaged file: that command finds it and writes it again."""
 ANSWER = ("features", "depths", "confidences", "cam_from_world", "intrinsics")
 """Tensors of each sample; a backbone with pointmaps of its own has these too."""
 SETTINGS = {
@@ -65,7 +68,7 @@ def check_answer(
     """
     lacking = [name for name in ANSWER if name not in found]
     if lacking:
-        raise ValueError(f"{where} lacks {', '.join(lacking)}; {REMEDY}")
+        raise ValueError(f"{where} lacks {', '.join(lacking)}; {REPLACE}")
     height, width = found["depths"].shape[-2:] if found["depths"].ndim >= 2 else (0, 0)
     patches = (height // settings["patch_size"]) * (width // settings["patch_size"])
     shapes = {
@@ -80,12 +83,12 @@ def check_answer(
         shape = tuple(value.shape)
         if name not in shapes or shape != shapes[name]:
             raise ValueError(
-                f"{where} has {name} of the shape {shape}, wanted {shapes.get(name)}; {REMEDY}"
+                f"{where} has {name} of the shape {shape}, wanted {shapes.get(name)}; {REPLACE}"
             )
         if not value.is_floating_point() or not value.isfinite().all():
-            raise ValueError(f"{where} has values in {name} that are not finite; {REMEDY}")
+            raise ValueError(f"{where} has values in {name} that are not finite; {REPLACE}")
         if name in ("depths", "confidences") and (value < 0).any():
-            raise ValueError(f"{where} has {name} below 0; {REMEDY}")
+            raise ValueError(f"{where} has {name} below 0; {REPLACE}")
     for view in range(views):
         camera = f"{where} view {view}"
         check_rigid(found["cam_from_world"][view].float(), where=camera)

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from instok3d.backbones.base import GeometryBackbone, Prediction, settle_geometry
 from instok3d.data.sample import Sample, photos_only
-from instok3d.training.cache.checks import check_answer, read_index
+from instok3d.reading import naming_damage
+from instok3d.training.cache.checks import REPLACE, check_answer, read_index
 from instok3d.types import Geometry, Views
 
 BACKBONE = "backbone.safetensors"
@@ -61,10 +62,10 @@ class FeatureCache:
             ValueError: The file is missing, damaged or of another backbone.
         """
         path = self.folder / BACKBONE
-        try:
+        if not path.is_file():
+            raise ValueError(f"{path} is missing; run `instok3d train cache` again")
+        with naming_damage(path, REPLACE):
             weights = load_file(path)
-        except (OSError, SafetensorError) as error:
-            raise ValueError(f"{path} is missing or damaged: {error}") from error
         self.check_backbone(weights, str(path))
         return weights
 
@@ -135,11 +136,31 @@ class FeatureCache:
         """
         return self._open(name)[1]
 
+    def check_scene(self, name: str) -> None:
+        """Fail unless all the answers in the file of a scene can be some; reads the whole file.
+
+        Raises:
+            KeyError: There is no such file.
+            ValueError: It is damaged.
+        """
+        path = scene_path(self.folder, name)
+        for prefix in self._open(name)[2]:
+            with naming_damage(path, REPLACE):
+                views, number, _ = prefix.removesuffix("/").split("/")
+                found = self._tensors(name, prefix)
+                check_answer(
+                    found, self.settings, int(views), f"{path}, sample {name}/{views}/{number},"
+                )
+
+    def _tensors(self, scene: str, prefix: str) -> dict[str, Tensor]:
+        """What a file has of one sample and kind of input."""
+        file, _, names = self._open(scene)
+        with naming_damage(scene_path(self.folder, scene), REPLACE):
+            return {n.removeprefix(prefix): file.get_tensor(n) for n in names.get(prefix, ())}
+
     def _entry(self, key: str, shown: BackboneInput, context: Views) -> dict[str, Tensor]:
         scene, rest = split_key(key)
-        file, _, names = self._open(scene)
-        prefix = f"{rest}/{shown}/"
-        found = {n.removeprefix(prefix): file.get_tensor(n) for n in names.get(prefix, ())}
+        found = self._tensors(scene, f"{rest}/{shown}/")
         if not found:
             raise KeyError(
                 f"{self.folder} has no features of sample {key} from {shown}; "
@@ -164,16 +185,12 @@ class FeatureCache:
                 f"{self.folder} has no features of scene {name}: the cache is not finished, or "
                 "the scene is new; run `instok3d train cache` with the same settings again"
             )
-        try:
+        with naming_damage(path, REPLACE):
             file = safe_open(path, framework="pt")
             names: dict[str, list[str]] = {}
             for each in file.keys():  # noqa: SIM118
                 names.setdefault(each[: each.rfind("/") + 1], []).append(each)
             return file, dict(file.metadata() or {}), names
-        except (OSError, SafetensorError) as error:
-            raise ValueError(
-                f"{path} is damaged ({error}); run `instok3d train cache` again to replace it"
-            ) from error
 
 
 class CachedBackbone(GeometryBackbone):

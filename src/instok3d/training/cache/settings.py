@@ -6,7 +6,8 @@ from typing import Any
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.data.scenes import SceneSource
-from instok3d.training.cache.features import FeatureCache, weights_sha256
+from instok3d.training.cache.checks import INDEX
+from instok3d.training.cache.features import FeatureCache, scene_path, weights_sha256
 from instok3d.training.config import TrainConfig, to_json
 from instok3d.training.held_out import split_scenes
 from instok3d.training.stages.answers import FrozenBackbone
@@ -95,8 +96,13 @@ def check_cache(cache: FeatureCache, config: TrainConfig, source: SceneSource) -
             )
     every = held_out + training
     for number in every[:: -(-len(every) // SCENES_CHECKED)]:
-        found = cache.scene_metadata(names[number]).get("scene_sha256")
-        if found != scene_sha256(source, number):
+        found = cache.scene_metadata(names[number])
+        if found.get("settings") != settings_sha256(cache.settings):
+            raise ValueError(
+                f"{scene_path(cache.folder, names[number])} was made with other settings than "
+                f"{INDEX} says; delete it and run `instok3d train cache` again"
+            )
+        if found.get("scene_sha256") != scene_sha256(source, number):
             raise ValueError(
                 f"scene {names[number]} of the data is not the one that {cache.folder} was made "
                 "from: its first frame differs; make the features anew into another folder"

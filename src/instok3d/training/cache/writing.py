@@ -160,23 +160,38 @@ def _begin(
         known = (before["training"], before["held_out"])
         scenes = [list(dict.fromkeys(old + new)) for old, new in zip(known, scenes, strict=True)]
     # A run that was killed before it wrote the index may have left the weights of another backbone.
-    if is_new or not (folder / BACKBONE).exists():
+    if is_new or not _has_backbone(FeatureCache(folder)):
         write_safetensors(folder / BACKBONE, backbone.state_dict())
     training, held_out = scenes
     index = {"format": FORMAT, "settings": settings, "training": training, "held_out": held_out}
     write_json(folder / INDEX, index)
 
 
+def _has_backbone(cache: FeatureCache) -> bool:
+    """Whether the weights are there that the index names, which are those of this run."""
+    if not (cache.folder / BACKBONE).exists():
+        return False
+    try:
+        cache.backbone_weights()
+    except ValueError as error:
+        warnings.warn(f"{error}: it is written again", stacklevel=4)
+        return False
+    return True
+
+
 def _is_made(cache: FeatureCache, name: str, wanted: Mapping[str, str]) -> bool:
-    """Whether the scene's file is there, as these settings and these pictures make it."""
+    """Whether the scene's file is there and sound, of these settings and these pictures."""
     if not cache.has_scene(name):
         return False
     try:
         found = cache.scene_metadata(name)
+        is_same = {key: found.get(key) for key in wanted} == wanted
+        if is_same:
+            cache.check_scene(name)
     except ValueError as error:
         warnings.warn(f"{error}: it is made anew", stacklevel=3)
         return False
-    if {key: found.get(key) for key in wanted} != wanted:
+    if not is_same:
         raise ValueError(
             f"{scene_path(cache.folder, name)} was made with other settings or from another scene "
             "of this name; choose another folder or delete it"
