@@ -154,7 +154,7 @@ def test_a_damaged_model_among_several_fails_alone(tmp_path):
     (tmp_path / "in/bad/sparse/1/images.txt").write_text("1 2 3")
     report = prepared(ColmapSource(tmp_path / "in", size=16), tmp_path / "out")
     assert report.scenes == 1
-    assert "sparse/1 are damaged" in report.failed["bad"]
+    assert "sparse/1/images.txt is damaged" in report.failed["bad"]
 
 
 def test_cameras_that_make_no_sense_fail_with_their_reason(tmp_path):

@@ -160,5 +160,5 @@ def test_one_model_or_none_needs_no_word(tmp_path):
 def test_a_damaged_model_among_several_is_refused(tmp_path):
     write_named(tmp_path / "sparse/0", "1.jpg")
     write_text(tmp_path / "sparse/1", "1 2 3")
-    with pytest.raises(ValueError, match=r"sparse/1 are damaged"):
+    with pytest.raises(ValueError, match=r"sparse/1/images\.txt is damaged"):
         find_model(tmp_path)

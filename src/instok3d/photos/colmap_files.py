@@ -5,6 +5,8 @@ import os
 import re
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -16,7 +18,9 @@ from torch import Tensor
 from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.photos.distortion import Distortion
 from instok3d.photos.file_names import entry_of_any_case, read_text, shortened
+from instok3d.reading import naming_damage
 
+REMEDY = "export it again from COLMAP"
 Item = TypeVar("Item")
 
 # Names in the order of COLMAP's model ids, and how many parameters each has.
@@ -131,18 +135,26 @@ def read_model(folder: Path) -> list[ColmapImage]:
         ValueError: A file is cut off, malformed, or an image has a camera that is not there.
     """
     cameras_file, images_file = model_files(folder)
-    try:
-        if _suffix(folder) == ".bin":
+    is_binary = _suffix(folder) == ".bin"
+    with naming_damage(cameras_file, REMEDY), _ends_early():
+        if is_binary:
             cameras = _cameras_from_bytes(cameras_file.read_bytes())
-            images = _images_from_bytes(images_file.read_bytes(), cameras)
         else:
             cameras = _cameras_from_text(read_text(cameras_file))
+    with naming_damage(images_file, REMEDY), _ends_early():
+        if is_binary:
+            images = _images_from_bytes(images_file.read_bytes(), cameras)
+        else:
             images = _images_from_text(read_text(images_file), cameras)
-    except (struct.error, IndexError) as error:
-        raise ValueError(f"the COLMAP files in {folder} are cut off; export them again") from error
-    except (KeyError, ValueError, OverflowError) as error:
-        raise ValueError(f"the COLMAP files in {folder} are damaged: {error}") from error
     return sorted(images, key=lambda image: image.name)
+
+
+@contextmanager
+def _ends_early() -> Iterator[None]:
+    try:
+        yield
+    except (struct.error, IndexError) as error:
+        raise ValueError("it is cut off") from error
 
 
 def _places(folder: Path) -> list[Path]:
