@@ -9,12 +9,17 @@ MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "O
 
 
 def write_colmap(folder, cameras, images, suffix: str) -> None:
-    """cameras: id -> (model, width, height, parameters); images: (name, cam_from_world, camera)."""
+    """cameras: id -> (model, width, height, parameters); images: (name, cam_from_world, camera).
+
+    In place of a matrix there may be the seven numbers that the file is to hold: wxyz and xyz.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
     for number, (name, matrix, camera) in enumerate(images, start=1):
-        quat, place = matrix_to_quat(matrix[:3, :3]).tolist(), matrix[:3, 3].tolist()
-        rows.append((number, [*quat, *place], camera, name))
+        pose = matrix
+        if not isinstance(matrix, list):
+            pose = [*matrix_to_quat(matrix[:3, :3]).tolist(), *matrix[:3, 3].tolist()]
+        rows.append((number, pose, camera, name))
     if suffix == ".txt":
         lines = ["# Camera list"]
         lines += [

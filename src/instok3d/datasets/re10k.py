@@ -28,6 +28,7 @@ from instok3d.datasets.preparation import Frames, LeftOutError, SceneJob, estima
 from instok3d.datasets.prepared import DroppedFrame, PreparedFrame, SceneInfo
 from instok3d.datasets.prepared.format import can_name_a_scene
 from instok3d.geometry.cameras import invert_rigid
+from instok3d.geometry.checks import FOCAL_RANGE
 from instok3d.photos.cropping import crop_image
 from instok3d.photos.image_decoding import naming_damage
 from instok3d.photos.pixel_map import PixelMap, fit_pixels
@@ -346,9 +347,13 @@ def _decoded(data: bytes | Path, place: str) -> Image.Image:
 
 
 def _usable(intrinsics: Float[np.ndarray, "frame 4"]) -> Bool[np.ndarray, " frame"]:
-    """Whether fx, fy, cx, cy can be shares of a picture's size; in pixels cx is far above 1."""
+    """Whether fx, fy, cx, cy can be shares of a picture's size; in pixels cx is far above 1.
+
+    Tiny focal lengths are left to the limit on the field of view, which leaves the clip out.
+    """
     focal, center = intrinsics[:, :2], intrinsics[:, 2:]
-    inside = (focal > 0).all(axis=1) & (center > 0).all(axis=1) & (center < 1).all(axis=1)
+    inside = ((focal > 0) & (focal <= FOCAL_RANGE[1])).all(axis=1)
+    inside &= (center > 0).all(axis=1) & (center < 1).all(axis=1)
     return np.asarray(inside & np.isfinite(intrinsics).all(axis=1))
 
 

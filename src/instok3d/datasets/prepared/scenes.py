@@ -17,6 +17,9 @@ from instok3d.datasets.prepared.index import read_index
 from instok3d.datasets.prepared.masks import MADE_BY, read_masks_record
 from instok3d.reading import naming_damage
 
+_SIXTEEN_BITS = ("I;16", "I")
+"""Modes of grey PNG of 16 bits, in newer and older versions of Pillow."""
+
 
 class PreparedScenes:
     """The scenes of a prepared folder, by name; a `SceneSource`.
@@ -165,6 +168,11 @@ def _read_png(folder: Path, layer: str, number: int, shape: tuple[int, ...]) -> 
     with naming_damage(path, remedy), Image.open(path, formats=["PNG"]) as image:
         if image.size != (shape[1], shape[0]):  # seen before anything large is decoded
             raise ValueError(f"{path} has the size {image.size}, its scene says {shape}")
+        modes = ("RGB",) if len(shape) == 3 else _SIXTEEN_BITS
+        if image.mode not in modes:
+            raise ValueError(
+                f"{path} has pixels of the mode {image.mode}, wanted {modes[0]}; {remedy}"
+            )
         pixels = np.asarray(image)
     if pixels.shape != shape:
         raise ValueError(f"{path} has the shape {pixels.shape}, its scene says {shape}")
