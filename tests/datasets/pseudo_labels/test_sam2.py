@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from mutations import limits, of_json, of_safetensors, survive
 from tiny_sam2 import SIDE, write_tiny_sam2
 
 pytest.importorskip("transformers", reason="SAM 2 needs transformers: pip install instok3d[models]")
@@ -135,6 +136,47 @@ def test_folders_that_hold_no_sam2_are_refused(folder, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(ValueError, match="cannot be read as SAM 2"):
         Sam2(tmp_path)
+
+
+def copied(folder: Path, place: Path) -> Path:
+    for name in ("config.json", "model.safetensors"):
+        (place / name).write_bytes((folder / name).read_bytes())
+    return place
+
+
+def test_any_damage_of_the_config_is_refused_or_read(folder, tmp_path):
+    copied(folder, tmp_path)
+    assert survive(tmp_path / "config.json", lambda: Sam2(tmp_path), of_json, 15)
+
+
+def test_any_damage_of_the_weights_is_refused_or_read(folder, tmp_path):
+    copied(folder, tmp_path)
+    assert survive(tmp_path / "model.safetensors", lambda: Sam2(tmp_path), of_safetensors, 8)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"null", b"[]", b"3", b'{"model_type": null}', b"\xff\xfe{}", b"[" * 100_000,
+     b'{"model_type": NaN}', b'{"model_type": ["sam2_video"]}'],
+)  # fmt: skip
+def test_a_config_that_is_none_is_refused_in_one_sentence(folder, tmp_path, content):
+    copied(folder, tmp_path)
+    (tmp_path / "config.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"config\.json is (damaged|of the model type)") as error:
+        Sam2(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+def test_sizes_that_the_weights_do_not_have_are_refused_in_one_sentence(folder, tmp_path):
+    copied(folder, tmp_path)
+    config = json.loads((folder / "config.json").read_text())
+    for value in (-1, 0, 64, "x", None, 2**40):
+        changed = config | {"memory_attention_feed_forward_hidden_size": value}
+        (tmp_path / "config.json").write_text(json.dumps(changed))
+        with limits(), pytest.raises(ValueError, match=r"model\.safetensors") as error:
+            Sam2(tmp_path)
+        assert "\n" not in str(error.value)
 
 
 def test_missing_weights_are_named(folder, tmp_path):

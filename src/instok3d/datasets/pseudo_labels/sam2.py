@@ -5,7 +5,6 @@ and normalised here. Every track has a session of its own: tracks can be dropped
 what SAM 2 no longer looks at is thrown away, so a clip may be of any length.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -26,9 +25,11 @@ from instok3d.datasets.pseudo_labels.automatic import (
 )
 from instok3d.datasets.pseudo_labels.interfaces import ProposedMasks, TrackedMask
 from instok3d.files import sha256_of
+from instok3d.reading import UNREADABLE, naming_damage, read_json, reason_of
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
+REMEDY = "fetch it again"
 _AUTOMATIC = AutomaticConfig()
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -232,10 +233,8 @@ def _check_folder(folder: Path) -> None:
                 f"there is no {name} in {folder}; a folder of SAM 2 weights holds {CONFIG} and "
                 f"{WEIGHTS}"
             )
-    try:
-        kind = json.loads((folder / CONFIG).read_text(encoding="utf-8"))["model_type"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{folder / CONFIG} is damaged ({error}); fetch it again") from error
+    with naming_damage(folder / CONFIG, REMEDY):
+        kind = read_json(folder / CONFIG, REMEDY)["model_type"]
     if kind != "sam2_video":
         raise ValueError(
             f"{folder / CONFIG} is of the model type {kind!r}, not 'sam2_video'; give weights such "
@@ -261,7 +260,7 @@ def _image_model(transformers: Any, video: Any) -> Any:
 
 def _loaded(kind: Any, folder: Path) -> Any:
     """A model whose every weight came from the file."""
-    from safetensors import SafetensorError
+    from huggingface_hub.errors import StrictDataclassError  # a value of another type
 
     try:
         with _quiet():
@@ -272,8 +271,11 @@ def _loaded(kind: Any, folder: Path) -> Any:
                 dtype=torch.float32,
                 output_loading_info=True,
             )
-    except (SafetensorError, RuntimeError, OSError) as error:
-        raise ValueError(f"{folder / WEIGHTS} cannot be read as SAM 2: {error}") from error
+    except (*UNREADABLE, StrictDataclassError) as error:
+        raise ValueError(
+            f"{folder / WEIGHTS} cannot be read as SAM 2 of the sizes in {CONFIG}: "
+            f"{reason_of(error)}; {REMEDY}"
+        ) from error
     if report["missing_keys"]:
         raise ValueError(
             f"{folder / WEIGHTS} lacks {len(report['missing_keys'])} weights of SAM 2, such as "
