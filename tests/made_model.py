@@ -10,16 +10,17 @@ from instok3d.model.files import save_model
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 
+SIZES = TokenizerConfig(
+    width=32, num_anchors=16, num_groups=5, anchor_layers=1, group_layers=1, head_size=16,
+    gaussian_head=GaussianHeadConfig(gaussians_per_anchor=4, sh_degree=1),
+)  # fmt: skip
+
 
 def made_model(path: Path, image_side: int = 32) -> Path:
     torch.manual_seed(5)
     backbone = NanoBackbone(NanoConfig(width=32, layers=1, head_width=16, match_channels=64))
-    config = TokenizerConfig(
-        width=32, num_anchors=16, num_groups=5, anchor_layers=1, group_layers=1, head_size=16,
-        gaussian_head=GaussianHeadConfig(gaussians_per_anchor=4, sh_degree=1),
-    )  # fmt: skip
     card = {"name": "random", "image_side": image_side}
-    save_model(Tokenizer(backbone, config), path, card=card)
+    save_model(Tokenizer(backbone, SIZES), path, card=card)
     return path
 
 

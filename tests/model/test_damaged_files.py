@@ -1,6 +1,7 @@
 """A damaged model file is read, or refused in one line before memory for it is taken."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,13 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from instok3d.model.files import load_model, read_card, read_sizes, read_unit
-from made_model import made_model
+from instok3d.backbones import registry
+from instok3d.backbones.cost import Outline
+from instok3d.model.files import load_model, read_card, read_sizes, read_unit, save_model
+from instok3d.model.tokenizer import Tokenizer
+from made_model import SIZES, made_model
 from mutations import limits, of_safetensors, survive
+from plane_backbone import PLANE, PlaneBackbone, PlaneConfig
 
 
 @pytest.fixture
@@ -102,3 +107,39 @@ def test_an_empty_file_is_told(path: Path):
     path.write_bytes(b"")
     with pytest.raises(ValueError, match=r"model\.safetensors is not a whole safetensors"):
         load_model(path)
+
+
+def test_a_file_of_a_backbone_that_cannot_be_built_on_paper_is_compared_too(
+    tmp_path: Path, plane: str, monkeypatch: pytest.MonkeyPatch
+):
+    config = PlaneConfig()
+    numbers = sum(value.numel() for value in PlaneBackbone(config).parameters())
+
+    def outline(config: PlaneConfig) -> Outline:
+        return Outline(numbers, config.patch_size, config.channels)
+
+    monkeypatch.setitem(registry._REGISTERED, plane, replace(PLANE, outline=outline))
+    path = tmp_path / "model.safetensors"
+    save_model(Tokenizer(PlaneBackbone(config), SIZES), path, card={})
+    load_model(path)
+    state, metadata = contents(path)
+    own = next(name for name in state if name.startswith("backbone."))
+    other = next(name for name in state if not name.startswith("backbone."))
+    damages = {
+        f"its backbone has .* numbers, wanted {numbers}": {own: torch.zeros(1)},
+        "has the shape": {other: torch.zeros(1, 2, 3, 4, 5)},
+        "has the unknown weight x": {"x": torch.zeros(1)},
+        "size mismatch": {own: torch.zeros(10 * numbers)},
+    }
+    for reason, change in damages.items():
+        save_file(state | change, path, metadata)
+        with (
+            limits(),
+            pytest.raises(ValueError, match=rf"model\.safetensors is damaged .*{reason}"),
+        ):
+            load_model(path)
+    for sizes in ({"patch_size": 2**20}, {"channels": 2**20}):
+        changed = json.dumps(json.loads(metadata["backbone_config"]) | sizes)
+        save_file(state, path, metadata | {"backbone_config": changed})
+        with limits(), pytest.raises(ValueError, match=r"model\.safetensors is damaged"):
+            load_model(path)

@@ -3,6 +3,7 @@
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.training.checkpoint import (
     RunState,
     WeightAverage,
@@ -20,8 +22,10 @@ from instok3d.training.checkpoint import (
     restore_weights,
     save_checkpoint,
 )
-from instok3d.training.config import preset, read_config, write_config
+from instok3d.training.config import preset, read_config, to_json, write_config
+from instok3d.training.export import export_model
 from instok3d.training.run_log import read_metrics
+from instok3d.training.stages.tokenizer import TokenizerStageConfig
 from mutations import of_bytes, of_json, of_safetensors, of_zip, survive
 
 
@@ -116,3 +120,29 @@ def test_metrics(tmp_path: Path):
         read_metrics(file)
     file.write_text("")
     assert read_metrics(file) == []
+
+
+EXPORTED: dict[str, Callable[[dict[str, Any]], object]] = {
+    "config has no setting .'speed'": lambda c: c.update(config='{"speed": 3}'),
+    "config.steps must be": lambda c: c.update(config='{"steps": "x"}'),
+    "config.stage must be of one of the types": lambda c: c.update(config='{"stage": {}}'),
+    "do not fit the model that its settings ask for": lambda c: None,
+    "it lacks 'commit'": lambda c: c.pop("commit"),
+    "3 is no text": lambda c: c.update(commit=3),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*trying the one before")
+@pytest.mark.parametrize("reason", EXPORTED)
+def test_a_checkpoint_that_cannot_be_is_not_exported(tmp_path: Path, reason: str):
+    sizes = NanoConfig(width=8, layers=1)
+    config = replace(preset("nano-tokenizer"), stage=TokenizerStageConfig(backbone=sizes))
+    file = save_checkpoint(tmp_path, made_state(), to_json(config))
+    content = torch.load(io.BytesIO(file.read_bytes()), weights_only=True)
+    EXPORTED[reason](content)
+    torch.save(content, file)
+    (tmp_path / "metrics.jsonl").write_text("")
+    with pytest.raises(ValueError, match=rf"step_00000000\.pt.*{reason}") as refusal:
+        export_model(tmp_path, tmp_path / "model.safetensors")
+    assert "\n" not in str(refusal.value)
+    assert not (tmp_path / "model.safetensors").exists()

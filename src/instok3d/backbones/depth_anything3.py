@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from instok3d.backbones.base import (
@@ -28,7 +26,9 @@ from instok3d.backbones.cost import (
 )
 from instok3d.backbones.vggt.dense_head import IMAGES_AT_ONCE
 from instok3d.geometry.cameras import rigid
+from instok3d.reading import reason_of
 from instok3d.types import Geometry, Views
+from instok3d.weights.reading import FETCH_AGAIN, read_weights_file
 
 PATCH = 14
 IMAGE_MEAN = (0.485, 0.456, 0.406)
@@ -142,13 +142,12 @@ def load_depth_anything3_weights(
     backbone = DepthAnything3Backbone(config or DepthAnything3Config())
     if not path.is_file():
         raise FileNotFoundError(f"no weights {path}; give model.safetensors of Depth Anything 3")
+    weights, _ = read_weights_file(path, FETCH_AGAIN)
     try:
-        backbone.net.load_state_dict(from_published(load_file(path)))
-    except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+        backbone.net.load_state_dict(from_published(weights))
     except RuntimeError as error:
         raise ValueError(
-            f"{path} does not hold Depth Anything 3 {backbone.config.size}: {error}"
+            f"{path} does not hold Depth Anything 3 {backbone.config.size}: {reason_of(error)}"
         ) from error
     return backbone.eval()
 

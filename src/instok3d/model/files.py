@@ -1,6 +1,7 @@
 """Models on disk: one safetensors file with the weights, the sizes and the card."""
 
 import json
+import math
 import reprlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -10,11 +11,13 @@ from typing import Any, get_args
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from instok3d.backbones.cost import Outline
 from instok3d.backbones.registry import backbone_names, build_backbone, kind_named, name_of
 from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
 from instok3d.model.file_checks import Header, check_tensors, config_of_json
+from instok3d.model.on_paper import StandIn
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.reading import UNREADABLE, naming_damage, parse_json, reason_of
 
@@ -177,9 +180,22 @@ def _sizes(metadata: Mapping[str, str], header: Header) -> tuple[Any, TokenizerC
             (TokenizerConfig, "tokenizer_config"),
         )
     )
-    if kind.outline is None:  # it can be built without memory
-        try:
+    try:
+        if kind.outline is None:  # it can be built without memory
             check_tensors(lambda: Tokenizer(build_backbone(backbone), tokenizer), header)
-        except UNREADABLE as error:
-            raise ValueError(f"its weights do not fit its own sizes: {reason_of(error)}") from error
+        else:
+            _check_outlined(kind.outline(backbone), tokenizer, header)
+    except UNREADABLE as error:
+        raise ValueError(f"its weights do not fit its own sizes: {reason_of(error)}") from error
     return backbone, tokenizer
+
+
+def _check_outlined(outline: Outline, tokenizer: TokenizerConfig, header: Header) -> None:
+    """As `check_tensors`, with no more known of the backbone than its number of parameters."""
+    own, others = {}, {}
+    for name, tensor in header.items():
+        (own if name.startswith("backbone.") else others)[name] = tensor
+    check_tensors(lambda: Tokenizer(StandIn(outline), tokenizer), others)
+    found = sum(math.prod(shape) for shape, _ in own.values())
+    if found < outline.numbers:
+        raise ValueError(f"its backbone has {found} numbers, wanted {outline.numbers}")

@@ -11,15 +11,14 @@ from functools import lru_cache
 
 import torch
 
-from instok3d.backbones.base import BackboneConfig, GeometryBackbone
+from instok3d.backbones.base import BackboneConfig
 from instok3d.backbones.cost import FLOAT, Activations, Outline, Work, geometry_bytes
 from instok3d.backbones.registry import build_backbone, kind_of
 from instok3d.errors import NotEnoughMemoryError
 from instok3d.model.available_memory import available_bytes, resident_bytes
-from instok3d.model.on_paper import on_paper
+from instok3d.model.on_paper import StandIn, on_paper
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.model.views.windows import window_lengths
-from instok3d.types import Geometry, Views
 
 PROCESS_BYTES = 300_000_000
 """Python, torch and the other libraries of a command, with their own allocations (CPU only)."""
@@ -184,20 +183,9 @@ def count_parameters(
     if tokenizer is None:
         return network.numbers, 0
     with on_paper():
-        behind = Tokenizer(_StandIn(network), tokenizer)
+        behind = Tokenizer(StandIn(network), tokenizer)
     own = sum(parameter.numel() for parameter in behind.parameters())
     return network.numbers + own, own
-
-
-class _StandIn(GeometryBackbone):
-    """Stands in for a backbone while the parameters of a tokenizer are counted."""
-
-    def __init__(self, outline: Outline) -> None:
-        super().__init__()
-        self.patch_size, self.feature_channels = outline.patch_size, outline.feature_channels
-
-    def forward(self, views: Views) -> Geometry:
-        raise NotImplementedError("a stand-in for a backbone cannot be run")
 
 
 @lru_cache

@@ -7,6 +7,10 @@ from typing import Any
 import torch
 from torch.overrides import TorchFunctionMode
 
+from instok3d.backbones.base import GeometryBackbone
+from instok3d.backbones.cost import Outline
+from instok3d.types import Geometry, Views
+
 RANDOM_FILLS = {"normal_", "trunc_normal_", "uniform_", "kaiming_normal_", "kaiming_uniform_"}
 
 
@@ -38,3 +42,15 @@ class _Unfilled(TorchFunctionMode):
         if func in (torch.randn, torch.rand):
             func = torch.empty
         return func(*args, **kwargs)
+
+
+class StandIn(GeometryBackbone):
+    """Stands in for a backbone where only the tokenizer's own tensors are of interest."""
+
+    def __init__(self, outline: Outline) -> None:
+        super().__init__()
+        self.patch_size, self.feature_channels = outline.patch_size, outline.feature_channels
+
+    def forward(self, views: Views) -> Geometry:
+        """Always fails."""
+        raise NotImplementedError("a stand-in for a backbone cannot be run")

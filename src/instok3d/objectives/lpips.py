@@ -5,10 +5,11 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from instok3d.reading import reason_of
 from instok3d.weights import weights_path
+from instok3d.weights.reading import FETCH_AGAIN, read_weights_file
 
 Trunk = Literal["vgg16", "alexnet"]
 
@@ -104,12 +105,8 @@ def load_lpips(weights: Path | str) -> Lpips:
             f"no LPIPS weights at {path}: give a file, or {' or '.join(TRUNKS)} after "
             "'instok3d models pull lpips'"
         )
-    try:
-        with safe_open(path, framework="pt") as stream:
-            trunk = (stream.metadata() or {}).get("lpips_trunk")
-            state = {name: stream.get_tensor(name).float() for name in stream.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+    state, metadata = read_weights_file(path, FETCH_AGAIN)
+    trunk = metadata.get("lpips_trunk")
     if trunk not in ("vgg16", "alexnet"):
         raise ValueError(
             f"{path} does not hold LPIPS weights: its lpips_trunk is {trunk!r}, "
@@ -119,7 +116,9 @@ def load_lpips(weights: Path | str) -> Lpips:
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
-        raise ValueError(f"{path} does not fit the {trunk} trunk of LPIPS: {error}") from error
+        raise ValueError(
+            f"{path} does not fit the {trunk} trunk of LPIPS: {reason_of(error)}; {FETCH_AGAIN}"
+        ) from error
     return model
 
 

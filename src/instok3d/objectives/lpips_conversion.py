@@ -14,6 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from instok3d.objectives.lpips import Lpips, Trunk
+from instok3d.reading import UNREADABLE, reason_of
+from instok3d.weights.reading import FETCH_AGAIN
 from instok3d.weights.writing import write_tensors
 
 ALLOWED = {
@@ -48,15 +50,18 @@ def convert_lpips(checkpoint: Path, output: Path, *, trunk: Trunk) -> str:
     with checkpoint.open("rb") as stream:
         try:
             arrays = _ArrayUnpickler(stream).load()
-        except (pickle.UnpicklingError, EOFError) as error:
-            raise ValueError(f"{checkpoint} is not a whole pickle of arrays: {error}") from error
+        except (*UNREADABLE, MemoryError) as error:
+            raise ValueError(
+                f"{checkpoint} is not a whole pickle of arrays: {reason_of(error)}; {FETCH_AGAIN}"
+            ) from error
     model = Lpips(trunk)
     try:
         for name, parameter in _parameters(model, trunk):
             _copy(parameter, arrays, name)
-    except (KeyError, TypeError, RuntimeError) as error:
+    except UNREADABLE as error:
         raise ValueError(
-            f"{checkpoint} does not fit the {trunk} trunk of LPIPS: {error}"
+            f"{checkpoint} does not fit the {trunk} trunk of LPIPS: {reason_of(error)}; "
+            f"{FETCH_AGAIN}"
         ) from error
     return write_tensors(output, model.state_dict(), {"lpips_trunk": trunk})
 

@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from instok3d.files import replacing
@@ -33,6 +31,7 @@ from instok3d.reading import (
 )
 from instok3d.training.distributed import ALONE, Processes, local, sharded_like, whole
 from instok3d.version import current_commit
+from instok3d.weights.reading import read_weights_file
 
 REMEDY = "remove it to go on from the one before"
 KEPT = 2
@@ -202,6 +201,7 @@ def _check(checkpoint: dict[str, Any]) -> None:
         raise ValueError(f"elapsed_s is {checkpoint['elapsed_s']}")
     for name in checkpoint["scene_names"]:
         text(name)
+    text(checkpoint["commit"])
     if not isinstance(parse_json(checkpoint["config"], "its config", "start anew"), dict):
         raise ValueError("its config is no JSON object")
     if (size := checkpoint.get("image_size")) is not None:
@@ -297,14 +297,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         return {**checkpoint["model"], **checkpoint["average"]}
     if not path.is_file():
         raise FileNotFoundError(f"no run folder and no .safetensors file at {path}")
-    try:
-        weights = {name: tensor.float() for name, tensor in load_file(path).items()}
-    except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {reason_of(error)}") from error
-    for name, value in weights.items():
-        if not value.isfinite().all():
-            raise ValueError(f"{path} has the weight {name}, which is not finite: export it again")
-    return weights
+    return read_weights_file(path, "export or fetch it again")[0]
 
 
 def _random_state() -> dict[str, Any]:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from instok3d.reading import naming_damage, reason_of
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
 from instok3d.training.run_log import read_metrics
@@ -29,10 +30,13 @@ def export_model(
 
     Raises:
         FileNotFoundError: The run has no checkpoint.
-        ValueError: The run is of a stage that has no file of its own, such as geometry.
+        ValueError: The run is of a stage that has no file of its own, such as geometry, or its
+            checkpoint is damaged.
     """
     checkpoint = read_checkpoint(run)
-    config = from_json(TrainConfig, json.loads(checkpoint["config"]))
+    settings = json.loads(checkpoint["config"])
+    with naming_damage(checkpoint["path"], "export it with the version that trained it"):
+        config = from_json(TrainConfig, settings)
     validation = [x for x in read_metrics(run / "metrics.jsonl") if x["kind"] == "validation"]
     card = {
         "name": output.stem,
@@ -43,11 +47,17 @@ def export_model(
         "scenes": len(checkpoint["scene_names"]),
         "commit": checkpoint["commit"],
         "validation": validation[-1] if validation else {},
-        "config": json.loads(checkpoint["config"]),
+        "config": settings,
         "notes": notes,
     }
     weights = {**checkpoint["model"], **checkpoint["average"]}
-    config.stage.export(AveragedRun(run, weights, card), output, half=half)
+    try:
+        config.stage.export(AveragedRun(run, weights, card), output, half=half)
+    except RuntimeError as error:
+        raise ValueError(
+            f"the weights in {checkpoint['path']} do not fit the model that its settings ask for "
+            f"({reason_of(error)}); export it with the version that trained it"
+        ) from error
     return card
 
 

@@ -20,6 +20,7 @@ from instok3d.data.sample import Sample
 from instok3d.data.scenes import SceneSource
 from instok3d.files import replacing
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.reading import reason_of
 from instok3d.training.checkpoint import (
     RunState,
     has_checkpoint,
@@ -155,7 +156,9 @@ def _prepared(
         try:
             stage.load_initial(model, read_weights(init_from))
         except RuntimeError as error:
-            raise ValueError(f"{init_from} does not fit the sizes of this run: {error}") from error
+            raise ValueError(
+                f"{init_from} does not fit the sizes of this run: {reason_of(error)}"
+            ) from error
     model.to(processes.device(config.device))
     loss = share(stage, model, processes, config.strategy)
     state = new_state(config, model)

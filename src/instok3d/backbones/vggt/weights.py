@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from instok3d.backbones.vggt.aggregator import new_intrinsics_layer
 from instok3d.backbones.vggt.backbone import VGGTBackbone
 from instok3d.backbones.vggt.config import VGGTConfig
 from instok3d.backbones.vggt.conversion import KERNEL, POSITIONS, resize_patches
+from instok3d.reading import UNREADABLE, reason_of
+from instok3d.weights.reading import FETCH_AGAIN, read_weights_file
 
 NOT_READ = "track_head."
 """The published file tracks pixels, too; nothing here does."""
@@ -32,16 +33,19 @@ def load_vggt_weights(path: Path, config: VGGTConfig | None = None) -> VGGTBackb
         ValueError: It is damaged, or holds other tensors than VGGT's of these sizes.
     """
     config = VGGTConfig() if config is None else config
-    state = _read(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no weights {path}; give the safetensors file of VGGT-1B")
+    state, _ = read_weights_file(path, FETCH_AGAIN, wanted=lambda n: not n.startswith(NOT_READ))
     if not is_published(state):
         raise ValueError(f"{path} is no VGGT: it has no {KERNEL} or no {POSITIONS}")
-    state = from_published(state, config)
     with torch.device("meta"):  # no memory and no time for weights that are replaced
         backbone = VGGTBackbone(config)
     try:
-        backbone.vggt.load_state_dict(state, strict=True, assign=True)
-    except RuntimeError as error:
-        raise ValueError(f"{path} does not hold VGGT's tensors of these sizes: {error}") from error
+        backbone.vggt.load_state_dict(from_published(state, config), strict=True, assign=True)
+    except UNREADABLE as error:
+        raise ValueError(
+            f"{path} does not hold VGGT's tensors of these sizes: {reason_of(error)}"
+        ) from error
     return backbone.eval()
 
 
@@ -73,14 +77,3 @@ def fill_from_published(backbone: VGGTBackbone, weights: Mapping[str, Tensor]) -
         return False
     backbone.vggt.load_state_dict(from_published(weights, backbone.config))
     return True
-
-
-def _read(path: Path) -> dict[str, Tensor]:
-    if not path.is_file():
-        raise FileNotFoundError(f"no weights {path}; give the safetensors file of VGGT-1B")
-    try:
-        with safe_open(path, framework="pt") as stream:
-            names = [name for name in stream.keys() if not name.startswith(NOT_READ)]  # noqa: SIM118
-            return {name: stream.get_tensor(name).float() for name in names}
-    except SafetensorError as error:
-        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error

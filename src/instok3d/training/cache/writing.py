@@ -18,6 +18,7 @@ from instok3d.data.sample import Sample, collate, photos_only
 from instok3d.data.scenes import SceneSource
 from instok3d.files import write_json, write_safetensors
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.reading import reason_of
 from instok3d.training.cache.checks import FORMAT, INDEX, read_index
 from instok3d.training.cache.features import (
     BACKBONE,
@@ -95,7 +96,10 @@ def fill_cache(
     try:
         load_backbone(backbone, weights)
     except RuntimeError as error:
-        raise ValueError(f"the weights do not fit the backbone of the run: {error}") from error
+        raise ValueError(
+            f"the weights do not fit the backbone of the run: {reason_of(error)}; give those of "
+            "its sizes"
+        ) from error
     backbone = backbone.to(config.device).eval()
     scene_path(folder, "").parent.mkdir(parents=True, exist_ok=True)
     refusal = f"another run is writing features to {folder}; wait for its end, or choose another"
