@@ -39,6 +39,20 @@ def test_list_shows_terms_hashes_and_what_is_here(capsys: pytest.CaptureFixture[
     assert all(row["training_data"] in shown for row in rows.values())
 
 
+@pytest.mark.parametrize("record", [b"", b"{", b"[]", b"\xff", b'{"sha256": 3}', b"[" * 100_000])
+def test_a_damaged_record_is_named_in_its_row_and_hides_no_other(
+    record: bytes, capsys: pytest.CaptureFixture[str]
+):
+    place = place_of(find_entry("da3-small"))
+    place.parent.mkdir(parents=True)
+    place.write_bytes(b"weights")
+    place.with_name(f"{place.name}.record.json").write_bytes(record)
+    assert main(["models", "list", "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["weights"]}
+    assert f"{place.name}.record.json is damaged" in rows["da3-small"]["state"]
+    assert rows["default"]["state"] == "here"
+
+
 @pytest.fixture
 def unpinned(monkeypatch: pytest.MonkeyPatch) -> None:
     """da3-small and vggt-1b as if nobody stated their commits and hashes."""

@@ -130,8 +130,9 @@ def _row(entry: "WeightsEntry") -> dict[str, Any]:
     place, source = place_of(entry), entry.source
     state, sha256, size = "not here", entry.sha256 or UNKNOWN, entry.size_bytes
     if place.is_file():
-        size, record = place.stat().st_size, read_record(place)
+        size = place.stat().st_size
         try:
+            record = read_record(place)
             # Reading 5 GB is nothing for a list: what has no record yet is only said to be there.
             if record is not None or size < 1e8:
                 state, sha256 = "here", check_file(entry, place)

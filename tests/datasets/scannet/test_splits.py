@@ -65,6 +65,23 @@ def test_the_published_list_loses_the_ignored_scene():
         published_test_scenes(b"[1]", "x")
 
 
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("{}", "it names no scene"),
+        ('{"scene0696_02": [0]}', "it names no scene"),
+        ('{"scene0688_00": "10"}', "the frames of scene0688_00 are no list"),
+        ('{"scene0688_00": {"0": 1}}', "the frames of scene0688_00 are no list"),
+        ('{"scene0688_00": 3}', "the frames of scene0688_00 are no list"),
+        ('{"scene0688_00": [true]}', "True is no whole number"),
+        ('{"kitchen": [0]}', "'kitchen' is no name of a scan"),
+    ],
+)
+def test_a_list_that_cannot_be_is_refused_with_the_reason(content: str, reason: str):
+    with pytest.raises(ValueError, match=f"x is damaged .{reason}.*it must map scenes to frames"):
+        published_test_scenes(content.encode(), "x")
+
+
 @pytest.mark.parametrize("name", ["scene0707_00", "kitchen", "scene0000_0", ""])
 def test_other_names_have_no_split(name: str):
     assert split_of(name, ()) is None

@@ -1,6 +1,7 @@
 """Which ScanNet scans are for training, validation and test, as Uni3R and LSM divide them."""
 
 import re
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -62,9 +63,23 @@ def published_test_scenes(data: bytes, what: str) -> tuple[SceneList, dict[str, 
     remedy = "it must map scenes to frames"
     chosen = parse_json(data, what, remedy)
     with naming_damage(what, remedy):
-        frames = {name: [_frame_id(frame) for frame in ids] for name, ids in chosen.items()}
-    names = tuple(name for name in sorted(frames) if name not in IGNORED)
+        frames = {_scan_name(name): _frame_ids(name, ids) for name, ids in chosen.items()}
+        names = tuple(name for name in sorted(frames) if name not in IGNORED)
+        if not names:
+            raise ValueError("it names no scene")
     return SceneList(names, f"the scenes of LSM's {TEST_LIST} without {IGNORED[0]}"), frames
+
+
+def _scan_name(name: str) -> str:
+    if not SCAN_NAME.fullmatch(name):
+        raise ValueError(f"{reprlib.repr(name)} is no name of a scan")
+    return name
+
+
+def _frame_ids(name: str, ids: Any) -> list[str]:
+    if not isinstance(ids, list):
+        raise ValueError(f"the frames of {name} are no list")
+    return [_frame_id(each) for each in ids]
 
 
 def _frame_id(value: Any) -> str:
