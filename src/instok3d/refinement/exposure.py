@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.refinement.adam import Adam
+
 
 class Exposure:
     """photo = gain * render + offset, for each photo and colour.
@@ -15,7 +17,7 @@ class Exposure:
     def __init__(self, views: int, *, rate: float, device: torch.device) -> None:
         self.log_gains = torch.zeros(views, 3, 1, 1, device=device, requires_grad=True)
         self.offsets = torch.zeros(views, 3, 1, 1, device=device, requires_grad=True)
-        self._optimizer = torch.optim.Adam([self.log_gains, self.offsets], lr=rate, fused=True)
+        self._optimizer = Adam([(self.log_gains, rate), (self.offsets, rate)], eps=1e-8)
 
     def applied(
         self, renders: Float[Tensor, "view 3 height width"], views: list[int]
@@ -26,7 +28,6 @@ class Exposure:
     def step(self) -> None:
         """One step of Adam along the gradients, which are cleared; the means are held."""
         self._optimizer.step()
-        self._optimizer.zero_grad()
         with torch.no_grad():
             for value in (self.log_gains, self.offsets):
                 value -= value.mean(dim=0, keepdim=True)

@@ -41,7 +41,6 @@ class OptimizedGaussians:
         assert self._parameters.means.grad is not None
         self._pressure += self._parameters.means.grad.norm(dim=1)
         self._optimizer.step()
-        self._optimizer.zero_grad()
 
     def split(self, share: float) -> None:
         """Split those that the photos have pulled at most (`split_largest`); Adam begins anew."""

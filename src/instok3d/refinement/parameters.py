@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from instok3d.refinement.adam import Adam
 from instok3d.refinement.settings import LearningRates
 from instok3d.types import Flow, Gaussians
 
@@ -47,16 +48,16 @@ class GaussianParameters(Flow):
             anchor_index=anchor_index,
         )
 
-    def optimizer(self, rates: LearningRates, *, length: float) -> torch.optim.Adam:
+    def optimizer(self, rates: LearningRates, *, length: float) -> Adam:
         """Adam over all of them, which need gradients from now on.
 
         Args:
             rates: For each field, by its name.
             length: Scene units in one unit of the rate of the means.
         """
-        groups = []
+        rows = []
         for field in fields(self):
             value = getattr(self, field.name).requires_grad_()
             unit = length if field.name == "means" else 1.0
-            groups.append({"params": [value], "lr": unit * getattr(rates, field.name)})
-        return torch.optim.Adam(groups, eps=1e-15, fused=True)
+            rows.append((value, unit * getattr(rates, field.name)))
+        return Adam(rows, eps=1e-15)
