@@ -5,12 +5,17 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
-from instok3d.backbones.nano import bundle
+from instok3d.backbones.nano import bundle, native_kernels
 from instok3d.backbones.nano.bundle import adjust_bundle
-from instok3d.backbones.nano.bundle_equations import NormalEquations, normal_equations
+from instok3d.backbones.nano.bundle_equations import (
+    NormalEquations,
+    native_equations,
+    normal_equations,
+)
 from instok3d.backbones.nano.bundle_errors import point_errors
 from instok3d.backbones.nano.bundle_problem import BundleNoise, Observations, SolveSettings
 from instok3d.backbones.nano.depth_grid import node_weights
+from instok3d.backbones.nano.native_kernels import kernels
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.registration import rigid_from_twist
 from instok3d.geometry.rotations import angle_between_rad
@@ -231,7 +236,7 @@ def test_gradient_is_that_of_the_robust_errors(rng):
         node_weights(p, GRID) for p in (observations.positions_here, observations.positions_there)
     )
     log_focal = torch.tensor([0.07]).double()
-    equations = normal_equations(observations, start[None], nodes, log_focal, here, there, noise)
+    equations = normal_equations(observations, here, there, noise, start[None], nodes, log_focal)
 
     twist = torch.zeros(2, 6, dtype=torch.double, requires_grad=True)
     moved_nodes, focal = nodes.clone().requires_grad_(), log_focal.clone().requires_grad_()
@@ -253,6 +258,73 @@ def test_gradient_is_that_of_the_robust_errors(rng):
     torch.testing.assert_close(gradient[0, :, :6], by_twist, atol=1e-8, rtol=1e-6)
     torch.testing.assert_close(gradient[..., 6:], by_nodes, atol=1e-8, rtol=1e-6)
     torch.testing.assert_close(equations.focal_gradient, by_focal, atol=1e-8, rtol=1e-6)
+
+
+needs_kernels = pytest.mark.skipif(kernels is None, reason="the kernels are not built")
+
+
+def wrong_everything(rng: torch.Generator) -> tuple[Observations, *tuple[torch.Tensor, ...]]:
+    """Two scenes of four views on a grid of 4 x 4: observations, cameras, corrections, focal."""
+    true = cameras_on_a_path(4)
+    pairs = [[(0, 1), (1, 2), (0, 3)], [(1, 3), (2, 0), (2, 3)]]
+    scenes = [observe(rng, true, each, 0.1 * torch.randn(4, 16, generator=rng)) for each in pairs]
+    parts = {name: torch.cat([vars(scene)[name] for scene in scenes]) for name in vars(scenes[0])}
+    parts["scenes"] = torch.arange(2).repeat_interleave(len(scenes[0].here))
+    mixed = torch.tensor([[4e4, 1e4], [1e4, 2e4]])
+    parts["precision"] = mixed * (0.5 + torch.rand(12, POINTS, 1, 1, generator=rng))
+    parts["confidence"] = parts["confidence"] * torch.rand(12, POINTS, generator=rng)
+    cameras = rigid_from_twist(0.05 * torch.randn(2, 4, 6, generator=rng)) @ true
+    cameras[1, 3, :3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))  # looks away
+    corrections = 0.1 * torch.randn(2, 4, 16, generator=rng)
+    return Observations(**parts), cameras, corrections, torch.tensor([0.07, -0.2])
+
+
+@needs_kernels
+def test_the_kernels_add_up_what_the_reference_does(rng):
+    observations, *at = wrong_everything(rng)
+    weights = [
+        node_weights(p, GRID) for p in (observations.positions_here, observations.positions_there)
+    ]
+    exact = normal_equations(observations, *weights, BundleNoise(), *at)
+    fast = native_equations(observations, GRID, BundleNoise(), *at)
+    # Of 20 blocks all but the six of the view that looks away and of the one paired with it alone.
+    assert (exact.hessian != 0).flatten(3).any(-1).sum() == 2 * (4 + 2 * 3) - 6
+    for name, value in vars(exact).items():
+        torch.testing.assert_close(
+            getattr(fast, name), value, rtol=1e-5, atol=1e-6 * float(value.abs().max()), msg=name
+        )
+
+
+@needs_kernels
+def test_the_kernels_solve_for_what_the_reference_solves_for(rng, monkeypatch):
+    true = cameras_on_a_path(3)
+    error = 0.1 * torch.randn(3, 16, generator=rng)
+    observations = observe(rng, true, [(0, 1), (1, 2), (0, 2)], error)
+    start = true[None]
+    found = adjust_bundle(observations, start, free(3, focal=True), GRID)
+    monkeypatch.setattr(native_kernels, "kernels", None)
+    exact = adjust_bundle(observations, start, free(3, focal=True), GRID)
+    for ours, theirs in zip(found, exact, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-4)
+    assert exact[1].abs().max() > 0.02
+
+
+@needs_kernels
+def test_the_kernels_refuse_views_and_scenes_that_do_not_exist(rng):
+    observations, *at = wrong_everything(rng)
+    for name, wrong in (("scenes", 2), ("here", 4), ("there", -1)):
+        indices = vars(observations)[name].clone()
+        indices[3] = wrong
+        with pytest.raises(ValueError, match=f"{name.removesuffix('s')} has {wrong}"):
+            native_equations(replace(observations, **{name: indices}), GRID, BundleNoise(), *at)
+
+
+@needs_kernels
+def test_the_kernels_make_zeros_of_no_observations(rng):
+    observations, *at = wrong_everything(rng)
+    nothing = Observations(**{name: value[:0] for name, value in vars(observations).items()})
+    for value in vars(native_equations(nothing, GRID, BundleNoise(), *at)).values():
+        assert value.count_nonzero() == 0
 
 
 def test_a_wrong_focal_length_is_found_where_it_is_free(rng):

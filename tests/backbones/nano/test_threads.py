@@ -9,6 +9,7 @@ import torch
 from instok3d.backbones.nano import alignment, pair_cameras
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.backbones.nano.bundle_problem import SolveSettings
+from instok3d.backbones.nano.native_kernels import kernels
 from instok3d.backbones.nano.pair_cameras import solve_views
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews
 from instok3d.backbones.nano.threads import all_threads, one_thread
@@ -80,7 +81,7 @@ def matched_views() -> tuple[list[PairMatches], PhotoViews]:
     return matches, PhotoViews(images, raw.log_depths.exp(), intrinsics)
 
 
-@pytest.mark.skipif(alignment._alignment is None, reason="the kernels are not built")
+@pytest.mark.skipif(kernels is None, reason="the kernels are not built")
 def test_any_number_of_threads_solves_for_the_same_bits(monkeypatch: pytest.MonkeyPatch):
     seen: set[tuple[str, int]] = set()
 
@@ -95,14 +96,16 @@ def test_any_number_of_threads_solves_for_the_same_bits(monkeypatch: pytest.Monk
 
     watch(pair_cameras, "adjust_bundle")
     watch(alignment, "search_native")
-    watch(alignment._alignment, "align")
+    watch(kernels, "align")
+    watch(kernels, "bundle_equations")
     matches, views = matched_views()
     found = []
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
         seen.clear()
         found.append(solve_views(matches, views, SolveSettings(torch.ones(1, 3), True)))
-        assert seen == {("adjust_bundle", 1), ("search_native", 1), ("align", threads)}
+        on_one, on_all = ("adjust_bundle", "search_native"), ("align", "bundle_equations")
+        assert seen == {*((name, 1) for name in on_one), *((name, threads) for name in on_all)}
         assert torch.get_num_threads() == threads
     for other in found[1:]:
         for name, value in vars(found[0]).items():

@@ -15,15 +15,9 @@ from torch.nn import functional
 
 from instok3d.backbones.nano.bundle_problem import CONFIDENCE_MIN, NEAREST
 from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
+from instok3d.backbones.nano.native_kernels import kernels_for, required_kernels
 from instok3d.backbones.nano.threads import all_threads
 from instok3d.geometry.cameras import invert_rigid, pixel_centers, transform_points
-
-try:  # after torch, so that both share torch's OpenMP and its thread pool
-    from instok3d.backbones.nano.native import (
-        _alignment,  # pyright: ignore[reportAttributeAccessIssue]
-    )
-except ImportError:
-    _alignment = None
 
 PATCH = 8
 """Side of a patch in pixels; even, because the centre of a cell is the corner of four pixels."""
@@ -74,11 +68,8 @@ def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
         there: The view in which they are searched.
     """
     confident = (matches.confidence > CONFIDENCE_MIN).any(0).nonzero()[:, 0]
-    plain = all(
-        values.dtype == torch.float32 and values.device.type == "cpu"
-        for values in (here.images, there.images, matches.pixels)
-    )
-    search = search_native if _alignment is not None and plain else search_reference
+    native = kernels_for(here.images, there.images, matches.pixels)
+    search = search_reference if native is None else search_native
     found = search(matches.at(confident), here, there)
     return replace(
         matches,
@@ -95,8 +86,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     Raises:
         RuntimeError: The kernels are not built.
     """
-    if _alignment is None:
-        raise RuntimeError("the kernels of the alignment were not built with instok3d")
+    kernels = required_kernels()
     there_from_here = there.cam_from_first @ invert_rigid(here.cam_from_first)
     warps = there.intrinsics @ there_from_here[:, :3, :3] @ here.intrinsics.inverse()
     shifts = (there.intrinsics @ there_from_here[:, :3, 3:])[..., 0]
@@ -106,7 +96,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     precision = matches.precision.new_empty(matches.precision.shape)
     window = _window(_own_offsets(like=matches.centers)).view(PATCH, PATCH)
     with all_threads():
-        _alignment.align(
+        kernels.align(
             *(
                 values.detach().contiguous()
                 for values in (here.images, there.images, matches.centers, depths, matches.pixels,

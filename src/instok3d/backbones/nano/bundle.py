@@ -5,20 +5,28 @@ unknown: each view has a coarse grid of log-depth corrections, with a prior as s
 depth is usually accurate.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from instok3d.backbones.nano.bundle_equations import NormalEquations, normal_equations
+from instok3d.backbones.nano.bundle_equations import (
+    NormalEquations,
+    native_equations,
+    normal_equations,
+)
 from instok3d.backbones.nano.bundle_problem import (
     NEAREST,
+    BundleNoise,
     Observations,
     SolveSettings,
     confidence_weight,
 )
 from instok3d.backbones.nano.depth_grid import node_weights, prior_precision
+from instok3d.backbones.nano.native_kernels import kernels_for
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.registration import rigid_from_twist
 
@@ -57,8 +65,6 @@ def adjust_bundle(
     log_focal = cam_from_first.new_zeros(batch) if log_focal is None else log_focal
     if count < 2 or not len(observations.scenes):
         return cameras, corrections, log_focal
-    weights_here = node_weights(observations.positions_here, grid)
-    weights_there = node_weights(observations.positions_there, grid)
     # 1. Weights by confidence. Pairs that contradict the initial cameras lose theirs.
     agreeing = _agreement_weights(observations, cameras, log_focal, noise.agreement)
     observations = replace(observations, confidence=agreeing)
@@ -68,11 +74,10 @@ def adjust_bundle(
     ).to(corrections)
     stiffness = torch.where(settings.depth_is_free > 0, 1.0, 1e6)[..., None, None] * prior
     views = torch.arange(count, device=corrections.device)
+    equations_at = _equations_of(observations, grid, noise)
     for _ in range(iterations):
         # 3. Normal equations of the observations and of the priors.
-        equations = normal_equations(
-            observations, cameras, corrections, log_focal, weights_here, weights_there, noise
-        )
+        equations = equations_at(cameras, corrections, log_focal)
         equations.hessian[:, views, views, 6:, 6:] += stiffness
         equations.gradient[..., 6:] += (stiffness @ corrections[..., None])[..., 0]
         focal_precision = 1 / (noise.focal**2 + log_focal.square())
@@ -84,6 +89,17 @@ def adjust_bundle(
         corrections = (corrections + step[..., 6:]).clamp(-0.7, 0.7)
         log_focal = (log_focal + focal_step.clamp(-0.1, 0.1)).clamp(-0.5, 0.5)
     return cameras, corrections, log_focal
+
+
+def _equations_of(
+    observations: Observations, grid: tuple[int, int], noise: BundleNoise
+) -> Callable[[Tensor, Tensor, Tensor], NormalEquations]:
+    """Normal equations as a function of cameras, corrections and log focal length."""
+    if kernels_for(observations.points) is not None:
+        return partial(native_equations, observations, grid, noise)
+    here = node_weights(observations.positions_here, grid)
+    there = node_weights(observations.positions_there, grid)
+    return partial(normal_equations, observations, here, there, noise)
 
 
 def _agreement_weights(
@@ -121,26 +137,24 @@ def _solve(
     batch, count, _, size, _ = hessian.shape
     # 1. One matrix over the unknowns of all views, in float64.
     whole = hessian.permute(0, 1, 3, 2, 4).reshape(batch, count * size, count * size).double()
-    number = torch.arange(count * size, device=hessian.device)
     # 2. Damp the twists: few matches may leave a camera underdetermined.
-    is_twist = number % size < 6
+    is_twist = torch.arange(count * size, device=hessian.device) % size < 6
     diagonal = whole.diagonal(dim1=-2, dim2=-1)
-    damping = 1e-4 * diagonal[:, is_twist].mean(-1, keepdim=True).clamp_min(1e-6) * is_twist
-    # 3. Remove the first camera, append the log focal length. Where that is known, its cross terms
-    # and gradient are zero.
-    free = number >= 6
-    whole = (whole + torch.diag_embed(damping))[:, free][:, :, free]
-    cross = equations.focal_cross.flatten(1).double()[:, free, None] * focal_is_free
+    diagonal += 1e-4 * diagonal[:, is_twist].mean(-1, keepdim=True).clamp_min(1e-6) * is_twist
+    # 3. Remove the first camera, whose twist stands first, and append the log focal length. Where
+    # that is known, its cross terms and gradient are zero.
+    cross = equations.focal_cross.flatten(1).double()[:, 6:, None] * focal_is_free
     own = equations.focal_hessian.double()[:, None, None]
-    whole = torch.cat([torch.cat([whole, cross], 2), torch.cat([cross.mT, own], 2)], dim=1)
-    right = gradient.flatten(1).double()[:, free, None]
+    rows = (torch.cat([whole[:, 6:, 6:], cross], 2), torch.cat([cross.mT, own], 2))
+    whole = torch.cat(rows, dim=1)
+    right = gradient.flatten(1).double()[:, 6:, None]
     focal_gradient = equations.focal_gradient.double()[:, None, None] * focal_is_free
     # 4. Cholesky: the priors make the matrix positive definite.
     found = -torch.cholesky_solve(
         torch.cat([right, focal_gradient], 1), torch.linalg.cholesky(whole)
     )
     step = gradient.new_zeros(batch, count * size)
-    step[:, free] = found[:, :-1, 0].to(step)
+    step[:, 6:] = found[:, :-1, 0].to(step)
     step = step.view(batch, count, size)
     # 5. Shorten steps of more than half a radian or half a unit: a sign of too few matches.
     longest = step[..., :6].norm(dim=-1).amax(dim=1).clamp_min(1e-9)

@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.backbones.nano.bundle_errors import point_errors
-from instok3d.backbones.nano.bundle_problem import BundleNoise, Observations
+from instok3d.backbones.nano.bundle_problem import NEAREST, BundleNoise, Observations
+from instok3d.backbones.nano.native_kernels import required_kernels
 from instok3d.backbones.nano.threads import all_threads
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.geometry.registration import skew
@@ -27,23 +28,23 @@ class NormalEquations:
 
 def normal_equations(
     observations: Observations,
-    cameras: Float[Tensor, "batch view 4 4"],
-    corrections: Float[Tensor, "batch view node"],
-    log_focal: Float[Tensor, " batch"],
     weights_here: Float[Tensor, "observation point node"],
     weights_there: Float[Tensor, "observation point node"],
     noise: BundleNoise,
+    cameras: Float[Tensor, "batch view 4 4"],
+    corrections: Float[Tensor, "batch view node"],
+    log_focal: Float[Tensor, " batch"],
 ) -> NormalEquations:
-    """Gauss-Newton equations of all residuals, without the priors.
+    """Gauss-Newton equations of all residuals, without the priors; the kernels' reference.
 
     Args:
         observations: Points and rays, by the initial depths and focal length.
-        cameras: Current cam_from_first.
-        corrections: Current log-depth corrections at the nodes.
-        log_focal: Logarithm of the current focal length over the initial one.
         weights_here: Node weights of the points in view here.
         weights_there: Node weights of their matches in view there.
         noise: Expected errors.
+        cameras: Current cam_from_first.
+        corrections: Current log-depth corrections at the nodes.
+        log_focal: Logarithm of the current focal length over the initial one.
     """
     scenes, here, there = observations.scenes, observations.here, observations.there
     # 1. Residuals and derivatives of every point.
@@ -113,6 +114,60 @@ def normal_equations(
         zero.index_add(0, scenes, (of_focal * errors.values).sum((1, 2))),
         cross,
     )
+
+
+def native_equations(
+    observations: Observations,
+    grid: tuple[int, int],
+    noise: BundleNoise,
+    cameras: Float[Tensor, "batch view 4 4"],
+    corrections: Float[Tensor, "batch view node"],
+    log_focal: Float[Tensor, " batch"],
+) -> NormalEquations:
+    """`normal_equations` in C++, for float32 on the CPU.
+
+    A point has weights at four nodes of each view alone, which products of dense matrices cannot
+    use. Uses all threads, also inside of `one_thread`; their number does not change the result.
+
+    Args:
+        observations: As in `normal_equations`.
+        grid: Rows and columns of nodes.
+        noise: As in `normal_equations`.
+        cameras: As in `normal_equations`.
+        corrections: As in `normal_equations`.
+        log_focal: As in `normal_equations`.
+
+    Raises:
+        RuntimeError: The kernels are not built.
+        ValueError: A scene or view of the observations does not exist.
+    """
+    batch, count, nodes = corrections.shape
+    parts = 6 + nodes
+    found = NormalEquations(
+        hessian=cameras.new_empty(batch, count, count, parts, parts),
+        gradient=cameras.new_empty(batch, count, parts),
+        focal_hessian=cameras.new_empty(batch),
+        focal_gradient=cameras.new_empty(batch),
+        focal_cross=cameras.new_empty(batch, count, parts),
+    )
+    given = observations
+    with all_threads():
+        required_kernels().bundle_equations(
+            *(
+                values.contiguous()
+                for values in (
+                    given.scenes, given.here, given.there, given.points, given.rays,
+                    given.precision, given.depths, given.confidence, given.positions_here,
+                    given.positions_there, cameras, corrections, log_focal,
+                )
+            ),
+            found.hessian, found.gradient, found.focal_hessian, found.focal_gradient,
+            found.focal_cross, rows=grid[0], columns=grid[1], nearest=NEAREST,
+            independence=noise.independence, fine_depth=noise.fine_depth,
+            mutual_depth=noise.mutual_depth, outlier=noise.outlier,
+            threads=torch.get_num_threads(),
+        )  # fmt: skip
+    return found
 
 
 def _adjoint(transform: Float[Tensor, "observation 4 4"]) -> Float[Tensor, "observation 6 6"]:
