@@ -1,8 +1,11 @@
 """Pictures for people: their colours and how sheets are laid out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from instok3d.pictures import (
     Section,
@@ -10,6 +13,7 @@ from instok3d.pictures import (
     contact_sheet,
     depth_picture,
     id_picture,
+    save_png,
     titled_rows,
 )
 
@@ -53,3 +57,10 @@ def test_pictures_are_cut_to_bytes():
     assert color_picture(image)[0, :, 0].tolist() == [0, 128, 255]
     depths = torch.tensor([[0.0, 1.0, 2.0, 9.0]])
     assert depth_picture(depths, farthest=2.0)[0, :, 0].tolist() == [0, 128, 0, 0]
+
+
+def test_a_saved_picture_comes_back_pixel_by_pixel(tmp_path: Path):
+    pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    save_png(Image.fromarray(pixels), tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png", formats=["PNG"]) as picture:
+        assert np.array_equal(np.asarray(picture), pixels)

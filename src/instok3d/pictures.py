@@ -4,6 +4,7 @@ import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -36,6 +37,11 @@ def color_picture(
     """SRGB images in [0, 1] as bytes; values outside are clamped."""
     bytes_ = (images.detach().float().clamp(0, 1) * 255).round().to(torch.uint8)
     return bytes_.movedim(-3, -1).contiguous().cpu().numpy()
+
+
+def save_png(picture: Image.Image, path: Path) -> None:
+    """Write a PNG with the least compression: a tenth larger, in a third of the time."""
+    picture.save(path, "PNG", compress_level=1)
 
 
 def id_picture(

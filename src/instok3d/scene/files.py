@@ -33,6 +33,7 @@ from instok3d.geometry.camera_json import read_intrinsics, read_pose
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
+from instok3d.pictures import save_png
 from instok3d.reading import naming_damage, number, one_of, read_json, text, whole_number
 from instok3d.scene.object_list import read_entries, read_objects
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
@@ -93,7 +94,7 @@ def save_record(
             more(part)
         (part / "inputs").mkdir()
         for index, photo in enumerate(scene.photos):
-            Image.fromarray(photo.cpu().numpy()).save(_photo_path(part / "inputs", index))
+            save_png(Image.fromarray(photo.cpu().numpy()), _photo_path(part / "inputs", index))
         for name in TENSOR_FILES:
             stage = scene.gaussians if name.startswith("gaussians") else scene.tokens
             write_safetensors(part / name, vars(stage))

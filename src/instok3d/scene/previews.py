@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from instok3d.files import replacing_folder
-from instok3d.pictures import Section, color_picture, contact_sheet, id_picture
+from instok3d.pictures import Section, color_picture, contact_sheet, id_picture, save_png
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.paths import around, orbit
 from instok3d.scene.scene import Scene
@@ -72,8 +72,8 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
     progress("previews: contact sheet")
     (folder / "objects").mkdir(parents=True, exist_ok=True)
     for item, tile in zip(scene.objects, tiles, strict=True):
-        Image.fromarray(tile).save(folder / "objects" / f"{item.id:03d}.png")
-    _scene_sheet(scene, tiles).save(folder / "contact_sheet.png")
+        save_png(Image.fromarray(tile), folder / "objects" / f"{item.id:03d}.png")
+    save_png(_scene_sheet(scene, tiles), folder / "contact_sheet.png")
 
 
 def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height width 3"]:
