@@ -53,6 +53,17 @@ def test_a_saved_model_comes_back_the_same(model, tmp_path, rng):
     assert read_card(path) == {"rooms": 2000}
 
 
+def test_loading_draws_no_random_weights_only_to_replace_them(model, tmp_path):
+    save_model(model, tmp_path / "model.safetensors", card={}, half=False)
+    before = torch.random.get_rng_state()
+    again = load_model(tmp_path / "model.safetensors")
+    assert torch.equal(torch.random.get_rng_state(), before)
+    for ours, theirs in ((again.state_dict(), model.state_dict()),
+                         (dict(again.named_buffers()), dict(model.named_buffers()))):  # fmt: skip
+        assert ours.keys() == theirs.keys()
+        assert all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
 def test_half_precision_halves_the_file_and_hardly_moves_the_weights(model, tmp_path):
     save_model(model, tmp_path / "whole", card={}, half=False)
     save_model(model, tmp_path / "half", card={})

@@ -17,7 +17,7 @@ from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
 from instok3d.model.file_checks import Header, check_tensors, config_of_json
-from instok3d.model.on_paper import StandIn
+from instok3d.model.on_paper import StandIn, without_random_fills
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.reading import UNREADABLE, naming_damage, parse_json, reason_of
 
@@ -85,8 +85,9 @@ def load_model(path: Path | str | None = None) -> Tokenizer:
         for name, value in state.items():
             if not value.isfinite().all():
                 raise ValueError(f"weight {name} is not finite")
-        model = Tokenizer(build_backbone(sizes), config)
-        model.load_state_dict(state)
+        with without_random_fills():
+            model = Tokenizer(build_backbone(sizes), config)
+        model.load_state_dict(state)  # every weight: strict
     return model.eval()
 
 

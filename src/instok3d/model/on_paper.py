@@ -21,8 +21,34 @@ def on_paper() -> Iterator[None]:
         yield
 
 
-class _Unfilled(TorchFunctionMode):
-    """Leaves out what gives values alone: random fills, and products with a number.
+@contextmanager
+def without_random_fills() -> Iterator[None]:
+    """What is made in this block has weights of any value, to be loaded; the rest is as ever."""
+    with _NoRandomFills():
+        yield
+
+
+class _NoRandomFills(TorchFunctionMode):
+    """Leaves out random values, unless they come from a generator of their own."""
+
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        kwargs = kwargs or {}
+        if kwargs.get("generator") is None:
+            if getattr(func, "__name__", "") in RANDOM_FILLS:
+                return args[0] if args else kwargs["tensor"]
+            if func in (torch.randn, torch.rand):
+                func = torch.empty
+        return func(*args, **kwargs)
+
+
+class _Unfilled(_NoRandomFills):
+    """Leaves out all that gives values alone: random ones, and products with a number.
 
     On the meta device each of these would import 800 modules, 80 MB and some seconds.
     """
@@ -34,14 +60,9 @@ class _Unfilled(TorchFunctionMode):
         args: Sequence[Any] = (),
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
-        kwargs = kwargs or {}
-        if getattr(func, "__name__", "") in RANDOM_FILLS:
-            return args[0] if args else kwargs["tensor"]
         if func is torch.Tensor.mul and isinstance(args[1], int | float):
             return args[0]
-        if func in (torch.randn, torch.rand):
-            func = torch.empty
-        return func(*args, **kwargs)
+        return super().__torch_function__(func, types, args, kwargs)
 
 
 class StandIn(GeometryBackbone):
