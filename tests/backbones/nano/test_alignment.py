@@ -189,6 +189,23 @@ def test_the_kernels_find_what_the_reference_finds(rng):
     torch.testing.assert_close(fast.precision[same], exact.precision[same], rtol=0.02, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "search", [search_reference, pytest.param(search_native, marks=needs_kernels)]
+)
+def test_unsure_matches_stay_scene_by_scene(rng, search):
+    matches, here, there = noisy_pair(rng)
+    every = search(matches, here, there)
+    confidence = torch.where(torch.rand(matches.confidence.shape, generator=rng) < 0.5, 0.5, 0.9)
+    found = search(replace(matches, confidence=confidence), here, there)
+    sure = confidence > 0.5
+    assert not torch.equal(sure[0], sure[1])
+    for name in ("pixels", "precision"):
+        ours, given, aligned = (vars(each)[name] for each in (found, matches, every))
+        assert torch.equal(ours[~sure], given[~sure])
+        assert torch.equal(ours[sure], aligned[sure])
+        assert not torch.equal(aligned[~sure], given[~sure])
+
+
 @needs_kernels
 def test_the_layout_of_the_matches_changes_nothing(rng):
     matches, here, there = noisy_pair(rng)

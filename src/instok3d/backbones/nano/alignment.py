@@ -60,22 +60,16 @@ def align_matches(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
        whole patch, because exposures differ.
     3. A prior at the descriptors' peak holds the position where the patch has no texture.
 
-    Matches that are of low confidence in all scenes are unchanged. Not differentiable.
+    Matches of low confidence are unchanged. Not differentiable.
 
     Args:
         matches: Matches of cells of `here` in `there`.
         here: The view whose cells are matched.
         there: The view in which they are searched.
     """
-    confident = (matches.confidence > CONFIDENCE_MIN).any(0).nonzero()[:, 0]
     native = kernels_for(here.images, there.images, matches.pixels)
     search = search_reference if native is None else search_native
-    found = search(matches.at(confident), here, there)
-    return replace(
-        matches,
-        pixels=matches.pixels.index_copy(1, confident, found.pixels),
-        precision=matches.precision.index_copy(1, confident, found.precision),
-    )
+    return search(matches, here, there)
 
 
 def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
@@ -91,16 +85,16 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
     warps = there.intrinsics @ there_from_here[:, :3, :3] @ here.intrinsics.inverse()
     shifts = (there.intrinsics @ there_from_here[:, :3, 3:])[..., 0]
     depths = sample_depth(here.depths, matches.centers.expand(len(here.depths), -1, -1))
-    # Contiguous, which empty_like of a permuted tensor is not: the kernels write to them.
-    pixels = matches.pixels.new_empty(matches.pixels.shape)
-    precision = matches.precision.new_empty(matches.precision.shape)
+    # Copies, which the kernels write to; contiguous, which those of permuted tensors are not.
+    pixels = matches.pixels.clone(memory_format=torch.contiguous_format)
+    precision = matches.precision.clone(memory_format=torch.contiguous_format)
     window = _window(_own_offsets(like=matches.centers)).view(PATCH, PATCH)
     with all_threads():
         kernels.align(
             *(
                 values.detach().contiguous()
                 for values in (here.images, there.images, matches.centers, depths, matches.pixels,
-                               warps, shifts, window)
+                               matches.confidence, warps, shifts, window)
             ),
             pixels,
             precision,
@@ -111,6 +105,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
             nearest_error=NEAREST_ERROR_PX,
             color_noise=COLOR_NOISE,
             shared=CORRELATED_PIXELS,
+            least_confidence=CONFIDENCE_MIN,
             iterations=ITERATIONS,
             threads=torch.get_num_threads(),
         )  # fmt: skip
@@ -118,7 +113,7 @@ def search_native(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -
 
 
 def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry) -> Matches:
-    """The search of `align_matches` over all given matches, on any device and in any precision.
+    """The search of `align_matches` on any device and in any precision.
 
     Args:
         matches: As in `align_matches`.
@@ -139,7 +134,13 @@ def search_reference(matches: Matches, here: PhotoGeometry, there: PhotoGeometry
         step = -(_inverse(precision) @ gradient[..., None])[..., 0]
         pixels = pixels + step / step.norm(dim=-1, keepdim=True).clamp_min(1.0)
     floor = NEAREST_ERROR_PX**2 * torch.eye(2).to(start)
-    return replace(matches, pixels=pixels, precision=_inverse(_inverse(precision) + floor))
+    precision = _inverse(_inverse(precision) + floor)
+    sure = (matches.confidence > CONFIDENCE_MIN)[..., None]
+    return replace(
+        matches,
+        pixels=torch.where(sure, pixels, matches.pixels),
+        precision=torch.where(sure[..., None], precision, matches.precision),
+    )
 
 
 def _own_offsets(*, like: Tensor) -> Float[Tensor, "pixel 2"]:

@@ -39,6 +39,12 @@ class Matches:
             confidence=self.confidence[:, cells],
         )
 
+    def split(self, parts: int) -> "list[Matches]":
+        """The inverse of `join_matches`, for parts of equal batches."""
+        values = (self.pixels, self.precision, self.confidence)
+        rows = zip(*(value.chunk(parts) for value in values), strict=True)
+        return [Matches(self.centers, *row) for row in rows]
+
 
 def join_matches(parts: Sequence[Matches]) -> Matches:
     """Matches of the same cells, concatenated along the batch."""

@@ -21,6 +21,7 @@ from instok3d.backbones.nano.pair_matches import (
     PairMatches,
     PhotoViews,
     SolvedViews,
+    Ways,
     matched_cells,
     pair_observations,
     subsample_matches,
@@ -116,14 +117,11 @@ def align_pairs(
     pairs: list[PairMatches], views: PhotoViews, cam_from_first: Float[Tensor, "batch view 4 4"]
 ) -> list[PairMatches]:
     """All matches aligned photometrically, from the positions that cameras and depth predict."""
-    aligned = []
-    for pair in pairs:
-        of_a, of_b = (
-            align_matches(matches, views.at(here, cam_from_first), views.at(there, cam_from_first))
-            for here, there, matches in pair.ways
-        )
-        aligned.append(replace(pair, of_a=of_a, of_b=of_b))
-    return aligned
+    if not pairs:
+        return []
+    ways = Ways.of(pairs, len(views.depths))
+    here, there = (views.at(ways.scenes, each, cam_from_first) for each in (ways.here, ways.there))
+    return replace(ways, matches=align_matches(ways.matches, here, there)).to_pairs(pairs)
 
 
 def _adjust(
@@ -143,7 +141,8 @@ def _adjust(
 
 def _register(pair: PairMatches, views: PhotoViews) -> Float[Tensor, "batch 2 4 4"]:
     """cam_from_first of the two views of a pair, from matched descriptors and depth."""
-    b_from_a = register_pair(*matched_cells(pair, views))
+    cells = matched_cells(Ways.of([pair], len(views.depths)), views)
+    b_from_a = register_pair(*cells.split(2))
     return torch.stack([torch.eye(4).to(b_from_a).expand_as(b_from_a), b_from_a], dim=1)
 
 

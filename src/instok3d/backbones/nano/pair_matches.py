@@ -8,7 +8,7 @@ from torch import Tensor
 
 from instok3d.backbones.nano.alignment import PhotoGeometry, sample_depth
 from instok3d.backbones.nano.bundle_problem import Observations
-from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches
+from instok3d.backbones.nano.matching import MATCH_STRIDE, Matches, join_matches
 from instok3d.geometry.registration import MatchedPoints
 
 
@@ -30,6 +30,33 @@ class PairMatches:
             (self.views_a, self.views_b, self.of_a),
             (self.views_b, self.views_a, self.of_b),
         )
+
+
+@dataclass(frozen=True)
+class Ways:
+    """Both directions of every pair of every scene, one row each."""
+
+    scenes: Int[Tensor, " row"]
+    here: Int[Tensor, " row"]
+    there: Int[Tensor, " row"]
+    matches: Matches
+    """Of cells of here in there; a batch of rows."""
+
+    @staticmethod
+    def of(pairs: list[PairMatches], batch: int) -> "Ways":
+        """Of at least one pair, whose matches are of the same cells."""
+        ways = [way for pair in pairs for way in pair.ways]
+        here, there, matches = zip(*ways, strict=True)
+        scenes = torch.arange(batch, device=here[0].device).repeat(len(ways))
+        return Ways(scenes, torch.cat(here), torch.cat(there), join_matches(matches))
+
+    def to_pairs(self, pairs: list[PairMatches]) -> list[PairMatches]:
+        """These matches, of the pairs that the rows were made of."""
+        parts = self.matches.split(2 * len(pairs))
+        return [
+            replace(pair, of_a=of_a, of_b=of_b)
+            for pair, of_a, of_b in zip(pairs, parts[::2], parts[1::2], strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -55,10 +82,12 @@ class PhotoViews:
     """Pixels."""
 
     def at(
-        self, views: Int[Tensor, " batch"], cam_from_first: Float[Tensor, "batch view 4 4"]
+        self,
+        scenes: Int[Tensor, " row"],
+        views: Int[Tensor, " row"],
+        cam_from_first: Float[Tensor, "batch view 4 4"],
     ) -> PhotoGeometry:
-        """One view of each scene."""
-        scenes = torch.arange(len(views), device=views.device)
+        """One view of a scene in each row."""
         parts = (self.images, self.depths, self.intrinsics, cam_from_first)
         return PhotoGeometry(*(part[scenes, views] for part in parts))
 
@@ -78,23 +107,23 @@ class MatchedCells(MatchedPoints):
     precision: Float[Tensor, "batch point 2 2"]
     """Inverse covariance of the rays."""
 
+    def split(self, parts: int) -> "list[MatchedCells]":
+        """So many equal parts of the batch."""
+        rows = zip(*(value.chunk(parts) for value in vars(self).values()), strict=True)
+        return [MatchedCells(*row) for row in rows]
 
-def matched_cells(pair: PairMatches, views: PhotoViews) -> tuple[MatchedCells, MatchedCells]:
-    """The cells of a with their matches in b, and the cells of b with their matches in a."""
-    scenes = torch.arange(len(views.depths), device=views.depths.device)
-    found = []
-    for here, there, matches in pair.ways:
-        own = matches.centers.expand(len(scenes), -1, -1)
-        points = _points_at(own, views.depths[scenes, here], views.intrinsics[scenes, here])
-        intrinsics = views.intrinsics[scenes, there]
-        matched = _points_at(matches.pixels, views.depths[scenes, there], intrinsics)
-        focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)
-        by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
-        rays = matched[..., :2] / matched[..., 2:]
-        found.append(
-            MatchedCells(points, rays, matched, matches.confidence, matches.precision * by_focal)
-        )
-    return found[0], found[1]
+
+def matched_cells(ways: Ways, views: PhotoViews) -> MatchedCells:
+    """The cells of each row's view here with their matches in there."""
+    scenes, matches = ways.scenes, ways.matches
+    own = matches.centers.expand(len(scenes), -1, -1)
+    points = _points_at(own, views.depths[scenes, ways.here], views.intrinsics[scenes, ways.here])
+    intrinsics = views.intrinsics[scenes, ways.there]
+    matched = _points_at(matches.pixels, views.depths[scenes, ways.there], intrinsics)
+    focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)
+    by_focal = (focal[:, :, None] * focal[:, None, :])[:, None]
+    rays = matched[..., :2] / matched[..., 2:]
+    return MatchedCells(points, rays, matched, matches.confidence, matches.precision * by_focal)
 
 
 def scale_focal(
@@ -122,14 +151,20 @@ def pair_observations(pairs: list[PairMatches], views: PhotoViews) -> Observatio
     """Observations of both directions of every pair of every scene, one row each."""
     height, width = views.depths.shape[-2:]
     size = torch.tensor([width, height]).to(views.depths)
-    scenes = torch.arange(len(views.depths), device=size.device)
-    parts = []
-    for pair in pairs:
-        for (here, there, matches), way in zip(pair.ways, matched_cells(pair, views), strict=True):
-            positions = (matches.centers / size).expand(len(scenes), -1, -1)
-            points = (way.points, way.rays, way.precision, way.matched[..., 2], way.confidence)
-            parts.append((scenes, here, there, *points, positions, matches.pixels / size))
-    return Observations(*(torch.cat(each) for each in zip(*parts, strict=True)))
+    ways = Ways.of(pairs, len(views.depths))
+    cells = matched_cells(ways, views)
+    return Observations(
+        scenes=ways.scenes,
+        here=ways.here,
+        there=ways.there,
+        points=cells.points,
+        rays=cells.rays,
+        precision=cells.precision,
+        depths=cells.matched[..., 2],
+        confidence=cells.confidence,
+        positions_here=(ways.matches.centers / size).expand(len(ways.scenes), -1, -1),
+        positions_there=ways.matches.pixels / size,
+    )
 
 
 def _points_at(

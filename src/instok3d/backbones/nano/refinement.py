@@ -18,6 +18,7 @@ from instok3d.backbones.nano.pair_matches import (
     MatchedCells,
     PairMatches,
     PhotoViews,
+    Ways,
     matched_cells,
 )
 from instok3d.backbones.nano.threads import one_thread
@@ -66,7 +67,8 @@ def gather_evidence(
     )
     cameras = cam_from_first.to(views.depths)
     for pair in pairs:
-        for (here, there, _), way in zip(pair.ways, matched_cells(pair, views), strict=True):
+        both = matched_cells(Ways.of([pair], batch), views).split(2)
+        for (here, there, _), way in zip(pair.ways, both, strict=True):
             there_from_here = cameras[scenes, there] @ invert_rigid(cameras[scenes, here])
             residual, weight, unexplained_here = measure_parallax(way, there_from_here)
             residuals[scenes, here] += residual * weight

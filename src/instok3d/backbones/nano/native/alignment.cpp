@@ -187,27 +187,28 @@ void align_cell(const AlignmentInputs& in, const Texel* texels, int scene, int c
 }  // namespace
 
 void align(const AlignmentInputs& in, const AlignmentOutputs& out, int threads) {
-  const std::int64_t rows = std::int64_t(in.scenes) * in.height;
   const int tasks = (in.cells + CELLS_OF_A_TASK - 1) / CELLS_OF_A_TASK;
   float window_total = 0;
   for (int p = 0; p < PIXELS; ++p) window_total += in.window[p];
-  std::vector<Texel> texels(rows * in.width);
-  const Stage texture = {[&] { return rows; },
-                         [&](std::int64_t row, int) {
-                           prepare_row(in, int(row / in.height), int(row % in.height),
-                                       texels.data() + row * in.width);
-                         }};
-  const Stage search = {[&] { return std::int64_t(in.scenes) * tasks; },
-                        [&](std::int64_t task, int) {
-                          const int scene = int(task / tasks), first = int(task % tasks);
-                          const Texel* own =
-                              texels.data() + std::int64_t(scene) * in.height * in.width;
-                          const int end = std::min((first + 1) * CELLS_OF_A_TASK, in.cells);
-                          for (int cell = first * CELLS_OF_A_TASK; cell < end; ++cell) {
-                            align_cell(in, own, scene, cell, window_total, out);
-                          }
-                        }};
-  run_stages(usable_threads(threads), {texture, search});
+  std::vector<Texel> texels(std::size_t(in.height) * in.width);  // of one scene after the other
+  std::vector<Stage> stages;
+  for (int scene = 0; scene < in.scenes; ++scene) {
+    stages.push_back({[&] { return std::int64_t(in.height); },
+                      [&, scene](std::int64_t row, int) {
+                        prepare_row(in, scene, int(row), texels.data() + row * in.width);
+                      }});
+    stages.push_back({[&] { return std::int64_t(tasks); },
+                      [&, scene](std::int64_t task, int) {
+                        const int first = int(task) * CELLS_OF_A_TASK;
+                        const int end = std::min(first + CELLS_OF_A_TASK, in.cells);
+                        for (int cell = first; cell < end; ++cell) {
+                          const std::int64_t at = std::int64_t(scene) * in.cells + cell;
+                          if (!(in.confidence[at] > in.least_confidence)) continue;
+                          align_cell(in, texels.data(), scene, cell, window_total, out);
+                        }
+                      }});
+  }
+  run_stages(usable_threads(threads), stages);
 }
 
 }  // namespace instok3d

@@ -14,15 +14,18 @@ struct AlignmentInputs {
   const float* centers;           // [cell 2], pixels
   const float* depths;            // [scene cell], of the surfaces of the patches
   const float* peaks;             // [scene cell 2], pixels, where the descriptors see the match
+  const float* confidence;        // [scene cell], of the matches
   const float* warps;             // [scene 3 3], pixels there from pixels here at depth 1 ...
   const float* shifts;            // [scene 3], ... and what the way between the cameras adds
   const float* window;            // [PATCH PATCH], weights of a patch's pixels
   float nearest;                  // depth at which a point counts as behind a camera
   float largest_warp, start_reach, peak_reach, nearest_error;  // pixels
   float color_noise, shared;
+  float least_confidence;         // cells up to this are left out
   int iterations;
 };
 
+// Those of cells that are left out stay as they are.
 struct AlignmentOutputs {
   float* pixels;     // [scene cell 2]
   float* precision;  // [scene cell 2 2]

@@ -24,17 +24,18 @@ using Results = nb::ndarray<float, nb::ndim<AXES>, nb::c_contig, nb::device::cpu
 constexpr std::size_t MAX_NODES = std::size_t(1) << 12;  // their square is an int
 
 void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Floats<2>& centers,
-                  const Floats<2>& depths, const Floats<3>& peaks, const Floats<3>& warps,
-                  const Floats<2>& shifts, const Floats<2>& window, const Results<3>& pixels,
+                  const Floats<2>& depths, const Floats<3>& peaks,
+                  const Floats<2>& confidence, const Floats<3>& warps, const Floats<2>& shifts, const Floats<2>& window, const Results<3>& pixels,
                   const Results<4>& precision, float nearest, float largest_warp,
                   float start_reach, float peak_reach, float nearest_error, float color_noise,
-                  float shared, int iterations, int threads) {
+                  float shared, float least_confidence, int iterations, int threads) {
   const std::size_t scenes = photos.shape(0), cells = centers.shape(0);
   require_shape("photos", photos, {scenes, 3, photos.shape(2), photos.shape(3)});
   require_shape("own_photos", own_photos, {scenes, 3, own_photos.shape(2), own_photos.shape(3)});
   require_shape("centers", centers, {cells, 2});
   require_shape("depths", depths, {scenes, cells});
   require_shape("peaks", peaks, {scenes, cells, 2});
+  require_shape("confidence", confidence, {scenes, cells});
   require_shape("warps", warps, {scenes, 3, 3});
   require_shape("shifts", shifts, {scenes, 3});
   require_shape("window", window, {PATCH, PATCH});
@@ -56,6 +57,7 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
   in.centers = centers.data();
   in.depths = depths.data();
   in.peaks = peaks.data();
+  in.confidence = confidence.data();
   in.warps = warps.data();
   in.shifts = shifts.data();
   in.window = window.data();
@@ -66,6 +68,7 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
   in.nearest_error = nearest_error;
   in.color_noise = color_noise;
   in.shared = shared;
+  in.least_confidence = least_confidence;
   in.iterations = iterations;
   const nb::gil_scoped_release release;
   align(in, {pixels.data(), precision.data()}, threads);
@@ -151,13 +154,14 @@ void bundle_arrays(const Indices<1>& scene, const Indices<1>& here, const Indice
 
 NB_MODULE(_kernels, m) {
   m.def("align", &instok3d::align_arrays, nb::arg("own_photos"), nb::arg("photos"),
-        nb::arg("centers"), nb::arg("depths"), nb::arg("peaks"), nb::arg("warps"),
-        nb::arg("shifts"), nb::arg("window"),
+        nb::arg("centers"), nb::arg("depths"), nb::arg("peaks"), nb::arg("confidence"),
+        nb::arg("warps"), nb::arg("shifts"), nb::arg("window"),
         // Not converted: results would be written to a copy.
         nb::arg("pixels").noconvert(), nb::arg("precision").noconvert(),
         nb::kw_only(), nb::arg("nearest"), nb::arg("largest_warp"), nb::arg("start_reach"),
         nb::arg("peak_reach"), nb::arg("nearest_error"), nb::arg("color_noise"),
-        nb::arg("shared"), nb::arg("iterations"), nb::arg("threads"));
+        nb::arg("shared"), nb::arg("least_confidence"), nb::arg("iterations"),
+        nb::arg("threads"));
   m.def("bundle_equations", &instok3d::bundle_arrays, nb::arg("scene"), nb::arg("here"),
         nb::arg("there"), nb::arg("surface"), nb::arg("rays"), nb::arg("precision"),
         nb::arg("depths"), nb::arg("confidence"), nb::arg("positions_here"),
