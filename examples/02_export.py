@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import instok3d
-from instok3d.scene.ply import write_ply
+from instok3d.formats.ply import write_ply
 
 given = len(sys.argv) > 1
 scene = instok3d.load(sys.argv[1]) if given else instok3d.demo(progress=print)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
 ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files", "reading",
          "pictures", "geometry", "render", "photos", "data", "rooms", "datasets", "weights",
          "backbones", "model", "semantics", "objectives", "refinement", "scene", "webpage",
-         "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
+         "formats", "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
 
 
 def imported_modules(tree: ast.AST, package: str) -> set[str]:

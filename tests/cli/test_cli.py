@@ -12,7 +12,7 @@ from PIL import Image
 
 import instok3d
 from instok3d.cli import exit_code, main
-from instok3d.scene.ply import read_ply
+from instok3d.formats.ply import read_ply
 from instok3d.scene.scene import Scene
 from made_model import made_model, made_photos
 from made_scene import made_scene, made_tokens
@@ -385,11 +385,11 @@ def test_render_writes_a_film(room: str, tmp_path: Path):
 def test_export_writes_a_ply_of_all_or_one(room: str, tmp_path: Path):
     whole, one = tmp_path / "room.ply", tmp_path / "one.ply"
     assert main(["export", room, "-o", str(whole), "--with-ids"]) == 0
-    assert len(read_ply(whole).means) == 40
+    assert len(read_ply(whole).gaussians.means) == 40
     assert b"comment instok3d units: arbitrary\n" in whole.read_bytes()
     assert main(["export", room, "-o", str(one), "--only", "3", "--sh", "0"]) == 0
     scene = instok3d.load(room)
-    torch.testing.assert_close(read_ply(one).means, scene.part(3).means)
+    torch.testing.assert_close(read_ply(one).gaussians.means, scene.part(3).means)
     assert main(["export", room, "-o", str(one)]) == 2
     assert main(["export", room, "-o", str(tmp_path / "room.obj")]) == 2
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from instok3d.scene.ply import read_ply
+from instok3d.formats.ply import read_ply
 from made_model import made_model, made_photos
 from made_scene import made_scene, made_tokens
 
@@ -36,7 +36,7 @@ def test_render_and_export(
     run(monkeypatch, "01_render.py", tmp_path / "room.itk", tmp_path / "between.png")
     assert (tmp_path / "between.png").is_file()
     run(monkeypatch, "02_export.py", tmp_path / "room.itk", tmp_path / "objects")
-    assert len(read_ply(tmp_path / "objects/003.ply").means) == 8
+    assert len(read_ply(tmp_path / "objects/003.ply").gaussians.means) == 8
     assert "object#3: 8 Gaussians" in capsys.readouterr().out
 
 

@@ -8,9 +8,7 @@ import pytest
 from instok3d.files import sha256_of
 from instok3d.scene.files import load_record
 from instok3d.scene.paths import read_camera_path
-from instok3d.scene.ply import read_ply, write_ply
 from instok3d.scene.scene import Scene
-from instok3d.types import check_gaussians
 from mutations import Damage, of_bytes, of_json, of_safetensors, survive
 
 
@@ -44,9 +42,3 @@ def test_a_path_of_cameras(tmp_path: Path, scene: Scene):
     scene.save(tmp_path / "room.itk")
     file = tmp_path / "room.itk" / "cameras.json"
     assert survive(file, lambda: read_camera_path(file), of_json, 100)
-
-
-def test_a_ply(tmp_path: Path, scene: Scene):
-    file = tmp_path / "a.ply"
-    write_ply(file, scene.gaussians, object_ids=scene.object_ids())
-    assert survive(file, lambda: check_gaussians(read_ply(file), file), of_bytes, 100)

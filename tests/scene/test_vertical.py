@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import instok3d
+from instok3d.formats.statements import scene_comments
 from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.geometry.registration import skew
 from instok3d.photos.camera_files import read_cameras
 from instok3d.scene.paths import look_at, orbit
-from instok3d.scene.ply import scene_comments
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import STATED, Vertical, find_vertical
 from made_scene import made_scene, made_tokens

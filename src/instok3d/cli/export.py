@@ -1,4 +1,4 @@
-"""`instok3d export`: a scene as a file that other programs open."""
+"""`instok3d export`: a scene as files that other programs open."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,41 +9,46 @@ import tyro
 def run(
     scene: tyro.conf.Positional[Path],
     /,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    per_object: Path | None = None,
     sh: Literal[0, 1, 2, 3] = 3,
     only: str | None = None,
     with_ids: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Write the Gaussians as a 3DGS PLY, sorted by object.
-
-    The rows of each object are the gaussian_range in the scene's objects.json.
+    """Write a scene for other programs; docs/formats.md says what each format keeps.
 
     Args:
         scene: A scene folder.
-        output: A file that ends in .ply.
+        output: A file; the ending of its name says which format.
+        per_object: A folder for a PLY, a convex hull and a thumbnail of each object, with their
+            boxes in index.json.
         sh: Degree of the colours. Bands that the scene lacks are zeros: many viewers read only
             degree 0 and 3.
         only: Id or key of one object to write alone.
-        with_ids: Add a last column object_id (0: no object); some viewers refuse it.
-        overwrite: Replace a file that is already there.
+        with_ids: Add a last column object_id (0: no object) to a PLY; some viewers refuse it.
+        overwrite: Replace files that are already there.
     """
-    from dataclasses import replace
-
-    from instok3d.cli.targets import check_file, object_name
-    from instok3d.scene.ply import scene_comments, write_ply
+    from instok3d.cli.targets import check_target, object_name
+    from instok3d.formats.object_folder import write_object_folder
+    from instok3d.formats.parts import only_objects
+    from instok3d.formats.registry import ExportOptions, export_scene, format_of
     from instok3d.scene.scene import Scene
 
-    check_file(output, overwrite=overwrite, endings=(".ply",))
-    loaded = Scene.load(scene) if only is not None else Scene.load(scene).drawn()
-    ids = loaded.object_ids()
+    if output is None and per_object is None:
+        raise ValueError("nothing to write: give a file with -o, or a folder with --per-object")
+    if output is not None:
+        format_of(output, to_write=True)
+        check_target(output, overwrite=overwrite)
+    if per_object is not None:
+        check_target(per_object, overwrite=overwrite, folder=True)
+    loaded = Scene.load(scene)
     if only is not None:
-        item = loaded.object(object_name(only))
-        start, count = item.gaussian_range
-        loaded = replace(loaded, gaussians=loaded.part(item.id))
-        ids = ids[start : start + count]
-    write_ply(
-        output, loaded.gaussians, sh_degree=sh, object_ids=ids if with_ids else None,
-        comments=scene_comments(loaded), overwrite=overwrite,
-    )  # fmt: skip
-    print(f"{len(loaded.gaussians.means)} Gaussians written to {output}")
+        loaded = only_objects(loaded, [object_name(only)])
+    options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
+    if output is not None:
+        export_scene(loaded, output, options)
+        print(f"{len(loaded.gaussians.means)} Gaussians written to {output}")
+    if per_object is not None:
+        write_object_folder(per_object, loaded, options)
+        print(f"{len(loaded.objects)} objects written to {per_object}")

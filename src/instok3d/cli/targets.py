@@ -13,9 +13,19 @@ def check_file(path: Path, *, overwrite: bool, endings: tuple[str, ...]) -> None
     """
     if path.suffix.lower() not in endings:
         raise ValueError(f"cannot write {path}: the name must end in {' or '.join(endings)}")
+    check_target(path, overwrite=overwrite)
+
+
+def check_target(path: Path, *, overwrite: bool, folder: bool = False) -> None:
+    """Fail if a file, or a folder, cannot be written at `path`.
+
+    Raises:
+        FileNotFoundError: The folder that it is to stand in is not there.
+        FileExistsError: Something is there, and overwrite is off or it is of another kind.
+    """
     if not path.resolve().parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.resolve().parent}")
-    if path.exists() and not (overwrite and path.is_file()):
+    if path.exists() and not (overwrite and (path.is_dir() if folder else path.is_file())):
         raise FileExistsError(f"{path} is already there; pass --overwrite to replace it")
 
 
