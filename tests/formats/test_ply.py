@@ -202,11 +202,3 @@ def test_damaged_files_are_refused_before_anything_is_allocated(tmp_path: Path):
         file.write_bytes(content)
         with pytest.raises(ValueError, match=message):
             read_ply(file)
-
-
-def test_other_programs_files_are_read_or_refused(shared: Path):
-    folder = shared / "data/gaussian_files"
-    splats = read_ply(folder / "metalsplatter/test-splat.3-points-from-train.ply").gaussians
-    assert splats.means.shape == (3, 3)
-    with pytest.raises(ValueError, match="it is a compressed PLY"):
-        read_ply(folder / "playcanvas/biker.compressed.ply")

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int, Num
 from torch import Tensor
 
 from instok3d.files import replacing
+from instok3d.formats.compressed_ply import PACKED, read_compressed
 from instok3d.formats.group_columns import group_ids
 from instok3d.formats.ply_tables import Element, read_header, read_table
 from instok3d.formats.registry import ExportOptions
@@ -79,6 +80,8 @@ def write_scene_ply(path: Path, scene: Scene, options: ExportOptions) -> None:
 def read_ply(path: Path) -> Splats:
     """The Gaussians of a 3DGS PLY file, binary of either byte order or ASCII, of degree 0 to 3.
 
+    A compressed PLY is known by its columns, whatever it is called.
+
     The header is checked against the file's size before anything is allocated. An infinite logit
     is full or no opacity, a scale of 0 becomes a tiny one. Groups come from a column such as
     object_id (`group_columns.COLUMNS`), or from the features of Gaussian Grouping where its
@@ -93,6 +96,8 @@ def read_ply(path: Path) -> Splats:
     if element is None:
         found = ", ".join(each.name[:40] for each in header.elements[:10]) or "nothing"
         raise ValueError(f"{path} holds no Gaussians: wanted the element 'vertex', found: {found}")
+    if PACKED[0] in element.names:
+        return read_compressed(path, header)
     num_rest = _num_rest(path, element)
     rows = read_table(path, header, element)
     ids, notes = group_ids(path, rows)
@@ -128,8 +133,7 @@ def _num_rest(path: Path, element: Element) -> int:
     wanted = [*NEEDED, *(f"f_rest_{i}" for i in range(num_rest))]
     missing = [name for name in wanted if name not in names]
     if missing:
-        known = "; it is a compressed PLY" if "packed_position" in names else ""
-        raise ValueError(f"{path} holds no Gaussians: missing columns {missing[:5]}{known}")
+        raise ValueError(f"{path} holds no Gaussians: missing columns {missing[:5]}")
     return num_rest
 
 

@@ -58,7 +58,16 @@ class FileFormat:
 
 FORMATS = (
     FileFormat(".ply", "3D Gaussian Splatting", "ply", "read_ply", "write_scene_ply"),
-)  # fmt: skip
+    FileFormat(
+        ".compressed.ply",
+        "PlayCanvas's",
+        "compressed_ply",
+        "read_compressed_ply",
+        "write_compressed_ply",
+    ),
+    FileFormat(".splat", "antimatter15's viewer", "splat", "read_splat", "write_splat"),
+    FileFormat(".spz", "Niantic's, gzipped", "spz", "read_spz", "write_spz"),
+)
 
 
 def readable() -> tuple[str, ...]:

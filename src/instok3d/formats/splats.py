@@ -1,7 +1,7 @@
 """What a reader of splat files returns, and what of a file can be drawn."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from instok3d.geometry.moving import move_gaussians
 from instok3d.types import MAX_LENGTH, Gaussians
 
 SCALES = (torch.finfo(torch.float32).tiny, MAX_LENGTH)
@@ -35,6 +36,14 @@ class Splats:
     """Of all lengths, as the file states them."""
     notes: tuple[str, ...] = ()
     """What was left out or changed, one sentence each."""
+
+    def moved(self, to_from: Float[Tensor, "4 4"]) -> "Splats":
+        """The same in the frame that a rigid transform leads to; `up` is turned too."""
+        up = self.up
+        if up is not None:
+            x, y, z = (to_from[:3, :3] @ torch.tensor(up)).tolist()
+            up = (x, y, z)
+        return replace(self, gaussians=move_gaussians(self.gaussians, to_from), up=up)
 
 
 def drawable_splats(
