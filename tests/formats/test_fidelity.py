@@ -13,9 +13,9 @@ from instok3d.scene.scene import Scene
 from instok3d.types import check_gaussians
 from splat_scenes import corner_scene, furnished_scene, picture, psnr
 
-GATES_DB = {".ply": 60, ".compressed.ply": 36, ".splat": 40, ".spz": 47}
+GATES_DB = {".ply": 60, ".glb": 60, ".compressed.ply": 36, ".splat": 40, ".spz": 47}
 CENTERS = [(0.7, -0.4, 0.0), (-1.0, 0.3, 0.5)]
-KEEPS_ROWS = (".ply", ".splat", ".spz")
+KEEPS_ROWS = (".ply", ".glb", ".splat", ".spz")
 
 
 @contextlib.contextmanager

@@ -1,10 +1,16 @@
-"""Scenes of some of a scene's objects."""
+"""Parts of scenes: some of its objects, or each of them by itself."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from instok3d.formats.upright import rigid_turn, y_up
+from instok3d.geometry.moving import move_gaussians
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
+from instok3d.types import Gaussians
+
+REST = "rest"
+"""Name of what belongs to no object."""
 
 
 def only_objects(scene: Scene, which: Sequence[int | str]) -> Scene:
@@ -29,3 +35,20 @@ def file_stem(item: SceneObject) -> str:
     )
     words = "-".join(word for word in letters.split("-") if word)[:40]
     return f"{item.id:03d}_{words}" if words else f"{item.id:03d}"
+
+
+def y_up_parts(scene: Scene) -> Iterator[tuple[str, SceneObject | None, Gaussians]]:
+    """Name and Gaussians of each object and of the rest, on the CPU, turned so that y is up."""
+    gaussians = scene.gaussians.map(lambda tensor: tensor.detach().cpu())
+    gaussians = move_gaussians(gaussians, rigid_turn(y_up(scene.vertical)))
+    end = 0
+    for item in scene.objects:
+        start, count = item.gaussian_range
+        end = start + count
+        yield item.key, item, gaussians.rows(slice(start, end))
+    yield REST, None, gaussians.rows(slice(end, None))
+
+
+def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+    """The Gaussians without the bands of colour above a degree."""
+    return replace(gaussians, sh=gaussians.sh[:, : (degree + 1) ** 2])

@@ -65,6 +65,8 @@ FORMATS = (
         "read_compressed_ply",
         "write_compressed_ply",
     ),
+    FileFormat(".glb", "glTF with KHR_gaussian_splatting", "gltf", "read_gltf", "write_gltf"),
+    FileFormat(".usdz", "USD with ParticleField3DGaussianSplat", "usd", "", "write_usd"),
     FileFormat(".splat", "antimatter15's viewer", "splat", "read_splat", "write_splat"),
     FileFormat(".spz", "Niantic's, gzipped", "spz", "read_spz", "write_spz"),
 )
