@@ -88,5 +88,6 @@ def furnished_scene(count: int = 1500, sh_count: int = 4) -> Scene:
             assignment=assignment,
         ),
         near_far=(0.05, 100.0),
+        objects=(),
     )
     return with_objects(whole)

@@ -111,3 +111,16 @@ def test_the_command_writes_both_and_refuses_neither(tmp_path: Path, scene: Scen
     assert len(list(Path(folder).glob("*.ply"))) == 1
     assert main(["export", room]) == 2
     assert "nothing to write" in capsys.readouterr().err
+
+
+def test_hidden_objects_are_left_out_unless_asked_for_by_name(tmp_path: Path, scene: Scene):
+    hidden = replace(scene.object(3), hidden=True)
+    objects = tuple(hidden if item.id == 3 else item for item in scene.objects)
+    made = replace(scene.provenance, edits=("hide object#3",), edited_from="0" * 64)
+    replace(scene, objects=objects, provenance=made).save(tmp_path / "room.itk")
+    room, file = str(tmp_path / "room.itk"), tmp_path / "a.ply"
+    assert main(["export", room, "-o", str(file), "--with-ids"]) == 0
+    assert read_ply(file).object_ids.unique().tolist() == [0, 1]
+    assert b"comment instok3d edited: 1 operations on the scene 0000" in file.read_bytes()
+    assert main(["export", room, "-o", str(file), "--only", "3", "--overwrite"]) == 0
+    assert len(read_ply(file).gaussians.means) == hidden.num_gaussians

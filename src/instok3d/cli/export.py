@@ -18,6 +18,8 @@ def run(
 ) -> None:
     """Write a scene for other programs; docs/formats.md says what each format keeps.
 
+    Hidden objects are left out.
+
     Args:
         scene: A scene folder.
         output: A file; the ending of its name says which format.
@@ -31,7 +33,7 @@ def run(
     """
     from instok3d.cli.targets import check_target, object_name
     from instok3d.formats.object_folder import write_object_folder
-    from instok3d.formats.parts import only_objects
+    from instok3d.formats.parts import only_objects, without_hidden
     from instok3d.formats.registry import ExportOptions, export_scene, format_of
     from instok3d.scene.scene import Scene
 
@@ -43,7 +45,9 @@ def run(
     if per_object is not None:
         check_target(per_object, overwrite=overwrite, folder=True)
     loaded = Scene.load(scene)
-    if only is not None:
+    if only is None:
+        loaded = without_hidden(loaded)
+    else:
         loaded = only_objects(loaded, [object_name(only)])
     options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
     if output is not None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from instok3d.formats.sidecar import with_sidecar, write_sidecar
 from instok3d.formats.splats import Splats
 from instok3d.scene.scene import Scene
 
@@ -34,6 +35,11 @@ class FileFormat:
     """A function of a path that returns `Splats`; empty where it is not read."""
     writer: str = ""
     """A function of a path, a `Scene` and `ExportOptions`; empty where it is not written."""
+    keeps_order: bool = True
+    """Whether the Gaussians are written in the scene's order, at least those of each object."""
+    sidecar: bool = False
+    """Whether it has no room to say of frame, units and objects, so that a JSON file beside it
+    does."""
 
     def _function(self, name: str) -> Callable:
         return getattr(import_module(f"instok3d.formats.{self.module}"), name)
@@ -45,7 +51,8 @@ class FileFormat:
             FileNotFoundError: No such file.
             ValueError: It is damaged or of another kind.
         """
-        return self._function(self.reader)(path)
+        splats = self._function(self.reader)(path)
+        return with_sidecar(path, splats) if self.sidecar else splats
 
     def write(self, path: Path, scene: Scene, options: ExportOptions) -> None:
         """Write a scene, atomically.
@@ -54,6 +61,8 @@ class FileFormat:
             FileExistsError: A file is there, and options.overwrite is off.
         """
         self._function(self.writer)(path, scene, options)
+        if self.sidecar:
+            write_sidecar(path, scene, keeps_order=self.keeps_order)
 
 
 FORMATS = (
@@ -67,8 +76,10 @@ FORMATS = (
     ),
     FileFormat(".glb", "glTF with KHR_gaussian_splatting", "gltf", "read_gltf", "write_gltf"),
     FileFormat(".usdz", "USD with ParticleField3DGaussianSplat", "usd", "", "write_usd"),
-    FileFormat(".splat", "antimatter15's viewer", "splat", "read_splat", "write_splat"),
-    FileFormat(".spz", "Niantic's, gzipped", "spz", "read_spz", "write_spz"),
+    FileFormat(
+        ".splat", "antimatter15's viewer", "splat", "read_splat", "write_splat", sidecar=True
+    ),
+    FileFormat(".spz", "Niantic's, gzipped", "spz", "read_spz", "write_spz", sidecar=True),
 )
 
 

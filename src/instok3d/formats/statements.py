@@ -32,10 +32,13 @@ def scene_comments(scene: Scene, *, sorted_by_object: bool = True) -> tuple[str,
         if sorted_by_object
         else "the file's own; gaussian_range of objects.json does not hold in it"
     )
+    made = scene.provenance
+    edited = f"instok3d edited: {len(made.edits)} operations on the scene {made.edited_from}"
     return (
         "SplatRenderMode: default",
         *([f"{UP} {up}"] if vertical.is_stated else []),
-        f"instok3d generator: {scene.provenance.generator}",
+        f"instok3d generator: {made.generator}",
+        *([edited] if made.edits else []),
         world,
         f"{UNITS} {scene.units}",
         f"instok3d order: {order}",
