@@ -15,6 +15,8 @@ BOTH = [each for each in FORMATS if each.reader and each.writer]
 @pytest.mark.parametrize("each", BOTH, ids=lambda each: each.suffix)
 def test_damaged_bytes(tmp_path: Path, each: FileFormat):
     file = tmp_path / f"a{each.suffix}"
+    if each.suffix == ".sog":
+        pytest.importorskip("gaussforge")
     export_scene(furnished_scene(60), file, ExportOptions(with_ids=True))
 
     def read() -> None:

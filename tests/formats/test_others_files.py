@@ -49,7 +49,7 @@ def colored_places(means: np.ndarray, constant: np.ndarray) -> None:
         np.testing.assert_allclose(0.5 + SH_CONSTANT * constant[row], color, atol=0.02)
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".compressed.ply", ".ksplat"])
 def test_gaussforge_reads_ours(tmp_path: Path, suffix: str):
     gaussforge = pytest.importorskip("gaussforge")
     export_scene(corner_scene(), tmp_path / f"a{suffix}")
@@ -73,11 +73,13 @@ def test_gsply_reads_ours(tmp_path: Path, suffix: str):
     colored_places(means, np.asarray(found.sh0).reshape(-1, 3))
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".compressed.ply", ".ksplat", ".sog"])
 def test_splat_transform_reads_ours(tmp_path: Path, suffix: str):
     if shutil.which("node") is None or not SPLAT_TRANSFORM.is_file():
         pytest.skip("splat-transform is not here: npm install @playcanvas/splat-transform and set "
                     "INSTOK3D_NODE_MODULES")  # fmt: skip
+    if suffix == ".sog":
+        pytest.importorskip("gaussforge")
     export_scene(corner_scene(), tmp_path / f"a{suffix}")
     words = ["node", str(SPLAT_TRANSFORM), "-q", "-g", "cpu", str(tmp_path / f"a{suffix}")]
     subprocess.run([*words, str(tmp_path / "b.ply")], check=True, capture_output=True)

@@ -45,10 +45,7 @@ def run(
     if per_object is not None:
         check_target(per_object, overwrite=overwrite, folder=True)
     loaded = Scene.load(scene)
-    if only is None:
-        loaded = without_hidden(loaded)
-    else:
-        loaded = only_objects(loaded, [object_name(only)])
+    loaded = only_objects(loaded, [object_name(only)]) if only else without_hidden(loaded)
     options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
     if output is not None:
         export_scene(loaded, output, options)

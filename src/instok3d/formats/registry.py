@@ -80,6 +80,18 @@ FORMATS = (
         ".splat", "antimatter15's viewer", "splat", "read_splat", "write_splat", sidecar=True
     ),
     FileFormat(".spz", "Niantic's, gzipped", "spz", "read_spz", "write_spz", sidecar=True),
+    FileFormat(
+        ".ksplat", "GaussianSplats3D", "ksplat", "read_ksplat", "write_ksplat", sidecar=True
+    ),
+    FileFormat(
+        ".sog",
+        "PlayCanvas's, pictures in a zip",
+        "sog",
+        "read_sog",
+        "write_sog",
+        keeps_order=False,
+        sidecar=True,
+    ),
 )
 
 
