@@ -101,6 +101,23 @@ def write_colliders_glb(
     builder.write(path, content, overwrite=overwrite)
 
 
+def write_colliders(path: Path, scene: Scene, *, overwrite: bool = False) -> None:
+    """Write hulls as a .glb, or hulls and boxes as JSON, by the ending of the name.
+
+    Raises:
+        FileExistsError: A file is there, and overwrite is off.
+    """
+    if path.suffix.lower() == ".glb":
+        write_colliders_glb(path, scene, overwrite=overwrite)
+    else:
+        write_colliders_json(path, scene, overwrite=overwrite)
+
+
+def write_boxes_glb(path: Path, scene: Scene, *, overwrite: bool = False) -> None:
+    """Write the oriented boxes of all objects as meshes; see `write_colliders_glb`."""
+    write_colliders_glb(path, scene, boxes=True, overwrite=overwrite)
+
+
 def write_colliders_json(path: Path, scene: Scene, *, overwrite: bool = False) -> None:
     """Write the hull and the oriented box of each object in the scene's own world.
 
