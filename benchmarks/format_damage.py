@@ -1,0 +1,63 @@
+"""Reads very many damaged files of each format: no crash, no hang, no great allocation.
+
+A reader may take at most four times the file and 64 MB more than the process has. Whatever else
+than a reading or a refusal in one line happens stops the run and is shown.
+
+    python benchmarks/format_damage.py --count 200000
+"""
+
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import mutations
+from instok3d.formats.registry import FORMATS, ExportOptions, export_scene, read_splats
+from instok3d.types import check_gaussians
+from splat_scenes import furnished_scene
+
+SPARE_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class Options:
+    """How many files."""
+
+    count: int = 200_000
+    """Of each format."""
+    gaussians: int = 60
+    """In the file that is damaged; its header is a larger part of a smaller one."""
+    seed: int = 0
+
+
+def main(options: Options) -> None:
+    """Prints a Markdown table."""
+    print("| format | bytes | files | read | refused | seconds |")
+    print("|---|---|---|---|---|---|")
+    for each in FORMATS:
+        if not (each.reader and each.writer):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / f"a{each.suffix}"
+            export_scene(furnished_scene(options.gaussians), file, ExportOptions(with_ids=True))
+            size = file.stat().st_size
+            mutations.SPARE_BYTES = 4 * size + SPARE_BYTES
+
+            def read(file: Path = file) -> None:
+                check_gaussians(read_splats(file).gaussians, file)
+
+            start = time.perf_counter()
+            refused = mutations.survive(file, read, mutations.of_bytes, options.count, options.seed)
+            took_s = time.perf_counter() - start
+        sound = options.count - len(refused)
+        print(f"| {each.suffix} | {size} | {options.count} | {sound} | {len(refused)} | "
+              f"{took_s:.0f} |", flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
