@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import mutations
 from instok3d.formats.registry import FORMATS, ExportOptions, export_scene, read_splats
 from instok3d.types import check_gaussians
+from packed_mutations import INSIDE
 from splat_scenes import furnished_scene
 
 SPARE_BYTES = 64 * 2**20
@@ -52,7 +53,8 @@ def main(options: Options) -> None:
                 check_gaussians(read_splats(file).gaussians, file)
 
             start = time.perf_counter()
-            refused = mutations.survive(file, read, mutations.of_bytes, options.count, options.seed)
+            damage = INSIDE.get(each.suffix, mutations.of_bytes)
+            refused = mutations.survive(file, read, damage, options.count, options.seed)
             took_s = time.perf_counter() - start
         sound = options.count - len(refused)
         print(f"| {each.suffix} | {size} | {options.count} | {sound} | {len(refused)} | "

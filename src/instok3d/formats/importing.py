@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from instok3d.files import sha256_of
@@ -89,7 +89,7 @@ def matched_ids(splats: Splats, scene: Scene, path: Path) -> Int[Tensor, " gauss
         ValueError: Less than half of the file's Gaussians are in the scene.
     """
     mine, theirs = _signature(scene.gaussians), _signature(splats.gaussians)
-    distances, rows = cKDTree(mine.numpy()).query(theirs.numpy(), p=torch.inf)
+    distances, rows = KDTree(mine.numpy()).query(theirs.numpy(), p=torch.inf)
     found = torch.from_numpy(distances) <= SAME
     if not found.float().mean() >= SAME_SHARE:
         raise ValueError(

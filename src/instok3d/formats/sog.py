@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from PIL import Image
+from torch import Tensor
 
 from instok3d.files import replacing
 from instok3d.formats.packing import check_growth, from_smallest_three
@@ -78,6 +79,7 @@ def read_sog(path: Path) -> Splats:
             raise ValueError(f"it is of version {version}; wanted {VERSION}")
         count = whole_number(about["count"], 0, 2**31 - 1)
         parts = _Parts(path, archive, count)
+        opacities, sh = _colors(parts, about)
         return drawable_splats(
             path,
             means=torch.from_numpy(_means(parts, about["means"])),
@@ -85,7 +87,8 @@ def read_sog(path: Path) -> Splats:
             scales=torch.from_numpy(
                 np.exp(_codebook(about["scales"])[parts.rows(about["scales"], 0)[:, :3]])
             ),
-            **_colors(parts, about),
+            opacities=opacities,
+            sh=sh,
         )
 
 
@@ -126,14 +129,16 @@ def _quats(parts: _Parts, about: dict[str, Any]) -> Float[np.ndarray, "row 4"]:
     return from_smallest_three(largest, (pixels[:, :3] / 127.5 - 1) / 2**0.5)
 
 
-def _colors(parts: _Parts, about: dict[str, Any]) -> dict[str, torch.Tensor]:
+def _colors(
+    parts: _Parts, about: dict[str, Any]
+) -> tuple[Float[Tensor, " row"], Float[Tensor, "row coefficient 3"]]:
     """Opacities and coefficients; those above the constant one come from a palette."""
     pixels = parts.rows(about["sh0"], 0)
     constant = _codebook(about["sh0"])[pixels[:, :3]][:, None]
     opacities = torch.from_numpy(pixels[:, 3] / np.float32(255))
     above = about.get("shN")
     if above is None:
-        return {"opacities": opacities, "sh": torch.from_numpy(constant)}
+        return opacities, torch.from_numpy(constant)
     width = BANDS[above["bands"]]
     entries = whole_number(above["count"], 1, MAX_PALETTE)
     palette = parts.picture(above, 0)
@@ -145,10 +150,7 @@ def _colors(parts: _Parts, about: dict[str, Any]) -> dict[str, torch.Tensor]:
     if len(labels) and labels.max() >= entries:
         raise ValueError(f"a Gaussian's colour is entry {labels.max()} of {entries}")
     rest = _codebook(above)[palette][labels]
-    return {
-        "opacities": opacities,
-        "sh": torch.from_numpy(np.concatenate([constant, rest], axis=1)),
-    }
+    return opacities, torch.from_numpy(np.concatenate([constant, rest], axis=1))
 
 
 def _codebook(about: dict[str, Any]) -> Float[np.ndarray, "256"]:

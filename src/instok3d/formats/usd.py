@@ -1,6 +1,7 @@
 """USD packages of ParticleField3DGaussianSplat prims: one for each object, y up."""
 
 import re
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -47,41 +48,42 @@ def write_usd(path: Path, scene: Scene, options: ExportOptions) -> None:
         layer.unlink()
 
 
-def _openusd() -> tuple[Any, Any, Any]:
+def _openusd() -> list[Any]:
+    # Not by import statements: pxr has no types that a checker could read.
     try:
-        from pxr import Usd, UsdGeom, UsdUtils, UsdVol
+        modules = [import_module(f"pxr.{name}") for name in ("Usd", "UsdGeom", "UsdUtils")]
+        volumes = import_module("pxr.UsdVol")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             "USD needs OpenUSD: pip install 'instok3d[usd]', or write .glb instead"
         ) from error
-    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+    if not hasattr(volumes, "ParticleField3DGaussianSplat"):
         raise ModuleNotFoundError(
             "this OpenUSD is older than 26.03 and knows no Gaussians: "
             "pip install --upgrade 'instok3d[usd]'"
         )
-    return Usd, UsdGeom, UsdUtils
+    return modules
 
 
 def _fill(prim: Any, gaussians: Gaussians, item: SceneObject | None) -> None:
-    from pxr import Gf, Vt
-
+    gf, vt = import_module("pxr.Gf"), import_module("pxr.Vt")
     degree = int(gaussians.sh.shape[1] ** 0.5) - 1
     reach = SIGMAS * gaussians.scales.amax(dim=1, keepdim=True)
     quats = gaussians.quats.double().tolist()
     values = {
-        "positions": Vt.Vec3fArray.FromNumpy(gaussians.means.float().contiguous().numpy()),
-        "orientations": Vt.QuatfArray([Gf.Quatf(*each) for each in quats]),
-        "scales": Vt.Vec3fArray.FromNumpy(gaussians.scales.float().contiguous().numpy()),
-        "opacities": Vt.FloatArray.FromNumpy(gaussians.opacities.float().contiguous().numpy()),
+        "positions": vt.Vec3fArray.FromNumpy(gaussians.means.float().contiguous().numpy()),
+        "orientations": vt.QuatfArray([gf.Quatf(*each) for each in quats]),
+        "scales": vt.Vec3fArray.FromNumpy(gaussians.scales.float().contiguous().numpy()),
+        "opacities": vt.FloatArray.FromNumpy(gaussians.opacities.float().contiguous().numpy()),
         "radiance:sphericalHarmonicsDegree": degree,
-        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(
+        "radiance:sphericalHarmonicsCoefficients": vt.Vec3fArray.FromNumpy(
             gaussians.sh.float().reshape(-1, 3).contiguous().numpy()
         ),
     }
     if len(gaussians.means):
         low = (gaussians.means - reach).amin(dim=0).tolist()
         high = (gaussians.means + reach).amax(dim=0).tolist()
-        values["extent"] = Vt.Vec3fArray([Gf.Vec3f(*low), Gf.Vec3f(*high)])
+        values["extent"] = vt.Vec3fArray([gf.Vec3f(*low), gf.Vec3f(*high)])
     for name, value in values.items():
         attribute = prim.GetAttribute(name)
         attribute.Set(value)
