@@ -8,6 +8,10 @@ from pathlib import Path
 import pytest
 
 from instok3d.evaluation.outlines import FORMAT as OUTLINES_FORMAT
+from instok3d.formats.layouts import LAYOUTS
+from instok3d.formats.object_folder import FORMAT as OBJECTS
+from instok3d.formats.registry import FORMATS
+from instok3d.formats.sidecar import FORMAT as SIDECAR
 from instok3d.model.files import FORMAT as MODEL_FORMAT
 from instok3d.rooms.shards import FORMAT as ROOMS_FORMAT
 from instok3d.scene.record import SceneTokens
@@ -49,3 +53,23 @@ def test_versions_are_those_of_the_program():
     assert f"| scene folder | `version` of `scene.json` | {VERSION} |" in PAGE
     for version in (MODEL_FORMAT, ROOMS_FORMAT, OUTLINES_FORMAT):
         assert f"| `{version}` |" in PAGE
+
+
+def test_every_format_of_other_programs_is_on_the_page():
+    table = keys_and_marks("| ending |")
+    assert {each.suffix for each in FORMATS} == {key for key in table if key.startswith(".")}
+    for each in FORMATS:
+        out, read = table[each.suffix][:2]
+        assert (out.startswith("yes"), read.startswith("yes")) == (
+            bool(each.writer), bool(each.reader)
+        ), each.suffix  # fmt: skip
+    assert set(keys_and_marks("| name | makes |")) == set(LAYOUTS)
+    assert f'"{SIDECAR}"' in PAGE
+    assert f'"{OBJECTS}"' in PAGE
+
+
+def keys_and_marks(head: str) -> dict[str, list[str]]:
+    """The cells behind the first one of each row of a table, by what the first has in backticks."""
+    table = head + PAGE.split(head, 1)[1].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
+    return {cells[0].strip("`"): cells[1:] for cells in rows if cells[0].startswith("`")}

@@ -44,6 +44,19 @@ def test_a_sidecar_of_another_file_is_not_believed(tmp_path: Path):
     assert "belongs to another version of a.spz" in splats.notes[0]
 
 
+def test_what_lies_in_a_sidecars_place_is_kept(tmp_path: Path):
+    scene, file = furnished_scene(100), tmp_path / "a.spz"
+    sidecar_path(file).write_text('{"mine": 1}')
+    for overwrite in (False, True):
+        with pytest.raises(FileExistsError, match=r"a\.spz\.json"):
+            export_scene(scene, file, ExportOptions(overwrite=overwrite))
+    assert sidecar_path(file).read_text() == '{"mine": 1}'
+    assert not file.exists()
+    sidecar_path(file).unlink()
+    for _ in range(2):
+        export_scene(scene, file, ExportOptions(overwrite=True))
+
+
 def test_a_damaged_sidecar_is_named(tmp_path: Path):
     export_scene(furnished_scene(100), tmp_path / "a.spz")
     file = sidecar_path(tmp_path / "a.spz")

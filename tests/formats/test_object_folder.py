@@ -121,6 +121,6 @@ def test_hidden_objects_are_left_out_unless_asked_for_by_name(tmp_path: Path, sc
     room, file = str(tmp_path / "room.itk"), tmp_path / "a.ply"
     assert main(["export", room, "-o", str(file), "--with-ids"]) == 0
     assert read_ply(file).object_ids.unique().tolist() == [0, 1]
-    assert b"comment instok3d edited: 1 operations on the scene 0000" in file.read_bytes()
+    assert b"comment instok3d edited: 1 operation, source sha256 0000" in file.read_bytes()
     assert main(["export", room, "-o", str(file), "--only", "3", "--overwrite"]) == 0
     assert len(read_ply(file).gaussians.means) == hidden.num_gaussians

@@ -40,7 +40,7 @@ def run(
     from instok3d.cli.targets import check_target, object_name
     from instok3d.formats.layouts import check_layout, write_layout
     from instok3d.formats.object_folder import write_object_folder
-    from instok3d.formats.parts import only_objects, without_hidden
+    from instok3d.formats.parts import only_objects
     from instok3d.formats.registry import ExportOptions, export_scene, format_of
     from instok3d.scene.scene import Scene
 
@@ -55,8 +55,8 @@ def run(
         check_target(output, overwrite=overwrite, folder=folder)
     if per_object is not None:
         check_target(per_object, overwrite=overwrite, folder=True)
-    loaded = Scene.load(scene)
-    loaded = only_objects(loaded, [object_name(only)]) if only else without_hidden(loaded)
+    whole = Scene.load(scene)
+    loaded = whole.drawn() if only is None else only_objects(whole, [object_name(only)])
     options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
     if format is not None and output is not None:
         write_layout(format, output, loaded, overwrite=overwrite)

@@ -20,25 +20,12 @@ def only_objects(scene: Scene, which: Sequence[int | str]) -> Scene:
         KeyError: The scene has no such object.
     """
     chosen = {scene.object(each).id for each in which}
-    kept = [item for item in scene.objects if item.id in chosen]
-    return replace(scene, gaussians=scene.part(list(which)), objects=_closed_up(kept))
-
-
-def without_hidden(scene: Scene) -> Scene:
-    """The scene without its hidden objects; all that belongs to none stays."""
-    kept = [item for item in scene.objects if not item.hidden]
-    if len(kept) == len(scene.objects):
-        return scene
-    return replace(scene, gaussians=scene.drawn_gaussians(), objects=_closed_up(kept))
-
-
-def _closed_up(kept: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
-    """Objects whose Gaussians follow each other from the first row on."""
-    moved, start = [], 0
-    for item in kept:
-        moved.append(replace(item, gaussian_range=(start, item.num_gaussians)))
-        start += item.num_gaussians
-    return tuple(moved)
+    kept, start = [], 0
+    for item in scene.objects:
+        if item.id in chosen:
+            kept.append(replace(item, gaussian_range=(start, item.num_gaussians)))
+            start += item.num_gaussians
+    return replace(scene, gaussians=scene.part(list(which)), objects=tuple(kept))
 
 
 def file_stem(item: SceneObject) -> str:

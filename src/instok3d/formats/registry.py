@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from instok3d.formats.sidecar import with_sidecar, write_sidecar
+from instok3d.formats.sidecar import check_sidecar, with_sidecar, write_sidecar
 from instok3d.formats.splats import Splats
 from instok3d.scene.scene import Scene
 
@@ -60,6 +60,8 @@ class FileFormat:
         Raises:
             FileExistsError: A file is there, and options.overwrite is off.
         """
+        if self.sidecar:
+            check_sidecar(path, overwrite=options.overwrite)
         self._function(self.writer)(path, scene, options)
         if self.sidecar:
             write_sidecar(path, scene, keeps_order=self.keeps_order)

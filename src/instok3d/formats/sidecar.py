@@ -21,6 +21,25 @@ def sidecar_path(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
+def check_sidecar(path: Path, *, overwrite: bool) -> None:
+    """Fail before a file is written if its sidecar could not be.
+
+    Raises:
+        FileExistsError: Something is in the sidecar's place, and overwrite is off or it is none.
+    """
+    file = sidecar_path(path)
+    if not file.exists():
+        return
+    if not overwrite:
+        raise FileExistsError(f"{file} is already there; pass --overwrite to replace it")
+    try:
+        value = read_json(file, REMEDY) if file.is_file() else None
+    except ValueError:
+        value = None
+    if not isinstance(value, dict) or value.get("format") != FORMAT:
+        raise FileExistsError(f"{file} was not written by an export and will not be replaced")
+
+
 def write_sidecar(path: Path, scene: Scene, *, keeps_order: bool) -> None:
     """Write what a file that is there already does not say of a scene, replacing an older sidecar.
 

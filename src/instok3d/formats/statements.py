@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from typing import Literal
 
+from instok3d.scene.edits.disclosure import edited_words
 from instok3d.scene.scene import Scene
 
 UP, UNITS = "Vertical axis:", "instok3d units:"
@@ -32,13 +33,11 @@ def scene_comments(scene: Scene, *, sorted_by_object: bool = True) -> tuple[str,
         if sorted_by_object
         else "the file's own; gaussian_range of objects.json does not hold in it"
     )
-    made = scene.provenance
-    edited = f"instok3d edited: {len(made.edits)} operations on the scene {made.edited_from}"
     return (
         "SplatRenderMode: default",
         *([f"{UP} {up}"] if vertical.is_stated else []),
-        f"instok3d generator: {made.generator}",
-        *([edited] if made.edits else []),
+        f"instok3d generator: {scene.provenance.generator}",
+        *([f"instok3d {edited_words(scene)}"] if scene.provenance.edits else []),
         world,
         f"{UNITS} {scene.units}",
         f"instok3d order: {order}",
