@@ -74,7 +74,12 @@ def test_the_wheel_holds_code_assets_and_the_mark_of_types_but_no_sources_of_ker
     names = zipfile.ZipFile(wheel).namelist()
     here = {str(path.relative_to(ROOT / "src")) for path in (ROOT / "src").rglob("*.py")}
     assets = {str(path.relative_to(ROOT / "src")) for path in (ROOT / ASSETS).rglob("*.*")}
-    assert here | assets | {"instok3d/py.typed", "instok3d/COMMIT"} == {
+    page = {
+        str(path.relative_to(ROOT / "src"))
+        for path in (ROOT / "src/instok3d/webpage").iterdir()
+        if path.suffix in (".js", ".css", ".html")
+    }
+    assert here | assets | page | {"instok3d/py.typed", "instok3d/COMMIT"} == {
         name for name in names if ".dist-info/" not in name
     }
     assert any(name.endswith("licenses/LICENSE") for name in names)
