@@ -13,8 +13,10 @@ import torch
 from PIL import Image
 
 from browser import open_page
+from instok3d.formats.registry import ExportOptions, export_scene
 from instok3d.pictures import color_picture
 from instok3d.render import render
+from instok3d.scene.objects import Sight
 from instok3d.scene.scene import Scene
 from instok3d.types import Gaussians
 from instok3d.webpage import page as page_module
@@ -176,10 +178,29 @@ def test_colours_lose_degrees_where_the_file_would_be_too_large(
     assert write_page(scene, tmp_path / "smallest.html").sh_degree == 0
 
 
-def test_a_page_needs_a_view_and_replaces_nothing_unasked(tmp_path: Path, scene: Scene):
-    with pytest.raises(ValueError, match="no views: a page needs a camera"):
-        write_page(replace(scene, views=()), tmp_path / "a.html")
+def test_a_scene_without_photos_begins_around_it(tmp_path: Path, scene: Scene):
+    none = scene.cameras.views([])
+    items = tuple(replace(item, sight=Sight()) for item in scene.objects)
+    bare = replace(scene, objects=items, views=(), photos=scene.photos[:0], cameras=none)
+    write_page(bare, tmp_path / "a.html")
+    views = about_of(tmp_path / "a.html")["views"]
+    assert [view["file"] for view in views] == [f"around {number}" for number in range(1, 7)]
+    with open_page((tmp_path / "a.html").as_uri(), READY) as opened:
+        assert drawn(opened).max() > 50
+        assert opened.errors == []
+
+
+def test_hidden_objects_are_left_out(tmp_path: Path, scene: Scene):
+    write_page(scene.hide(1), tmp_path / "a.html")
+    about = about_of(tmp_path / "a.html")
+    assert [item["id"] for item in about["objects"]] == [3]
+    assert "edited: 1 operations" in about["lines"]
+
+
+def test_a_page_replaces_nothing_unasked(tmp_path: Path, scene: Scene):
     (tmp_path / "a.html").write_text("mine")
     with pytest.raises(FileExistsError):
         write_page(scene, tmp_path / "a.html", overwrite=False)
     assert (tmp_path / "a.html").read_text() == "mine"
+    export_scene(scene, tmp_path / "a.html", ExportOptions(sh_degree=0, overwrite=True))
+    assert about_of(tmp_path / "a.html")["coefficients"] == 1

@@ -24,7 +24,8 @@ def run(
     Args:
         scene: A scene folder.
         output: A file of Gaussians, whose ending says which format (.ply, .compressed.ply, .spz,
-            .splat, .ksplat, .sog, .glb, .usdz); or what --format makes.
+            .splat, .ksplat, .sog, .glb, .usdz); .html, a page that shows the scene in any browser;
+            or what --format makes.
         per_object: A folder for a PLY, a convex hull and a thumbnail of each object, with their
             boxes in index.json.
         format: Instead of Gaussians: "colmap" (a folder with a model of the photos' cameras),

@@ -94,6 +94,7 @@ FORMATS = (
         keeps_order=False,
         sidecar=True,
     ),
+    FileFormat(".html", "a page for browsers, which needs nothing else", "html", "", "write_html"),
 )
 
 

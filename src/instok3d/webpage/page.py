@@ -16,9 +16,12 @@ from PIL import Image
 
 from instok3d.files import replacing
 from instok3d.geometry.cameras import invert_rigid
+from instok3d.pictures import color_picture
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.paths import around
 from instok3d.scene.previews import object_picture
 from instok3d.scene.scene import Scene
+from instok3d.types import Cameras
 from instok3d.webpage.packing import PackedGaussians, pack
 
 SCRIPTS = ("gaussians.js", "cameras.js", "picking.js", "drawing.js", "page.js")
@@ -26,6 +29,8 @@ SIZE_LIMIT = 6_000_000
 """Bytes that a page should not exceed: view-dependent colours are left out beyond."""
 THUMBNAIL = 96
 """Longest side of the picture of an object, pixels."""
+AROUND = 6
+"""Places around a scene without photos."""
 PHOTO_HEIGHT = 128
 """Of the photos at the foot of the page, at most."""
 
@@ -40,8 +45,22 @@ class PageReport:
     scene_sh_degree: int
 
 
+@dataclass(frozen=True)
+class Places:
+    """Where a person can stand at once: at the photos, or around a scene that has none."""
+
+    cameras: Cameras
+    names: tuple[str, ...]
+    pictures: UInt8[np.ndarray, "place height width 3"]
+
+
 def write_page(
-    scene: Scene, path: Path, *, name: str | None = None, overwrite: bool = True
+    scene: Scene,
+    path: Path,
+    *,
+    name: str | None = None,
+    most_coefficients: int = 16,
+    overwrite: bool = True,
 ) -> PageReport:
     """Write a scene as one HTML file, atomically.
 
@@ -52,24 +71,22 @@ def write_page(
     View-dependent colours of high degree are left out where the file would exceed SIZE_LIMIT.
 
     Args:
-        scene: With at least one view.
+        scene: Hidden objects are left out.
         path: Where to; its folder must exist.
         name: Of the scene, as the page shows it; None takes the file's.
+        most_coefficients: Of spherical harmonics: 1, 4, 9 or 16.
         overwrite: Replace a file that is there.
 
     Raises:
         FileExistsError: A file is there, and overwrite is off.
-        ValueError: The scene has no view to begin at.
     """
-    if not scene.views:
-        raise ValueError("the scene has no views: a page needs a camera to begin at")
-    present = _coefficients(scene)
+    scene = scene.drawn()
+    present = min(_coefficients(scene), most_coefficients)
     title = name or path.stem
-    for coefficients in (count for count in (16, 9, 4, 1) if count <= present):
-        packed = pack(scene.gaussians, coefficients)
-        page = _page(scene, title, packed).encode()
-        if len(page) <= SIZE_LIMIT:
-            break
+    coefficients, page = present, _page(scene, title, pack(scene.gaussians, present))
+    while len(page) > SIZE_LIMIT and coefficients > 1:
+        coefficients = (round(coefficients**0.5) - 1) ** 2
+        page = _page(scene, title, pack(scene.gaussians, coefficients))
     with replacing(path, overwrite=overwrite) as part:
         part.write_bytes(page)
     degrees = {1: 0, 4: 1, 9: 2, 16: 3}
@@ -85,59 +102,74 @@ def _coefficients(scene: Scene) -> int:
     return count
 
 
-def _page(scene: Scene, title: str, packed: PackedGaussians) -> str:
+def _page(scene: Scene, title: str, packed: PackedGaussians) -> bytes:
     folder = files("instok3d.webpage")
 
     def source(name: str) -> str:
         return (folder / name).read_text(encoding="utf-8")
 
     about = json.dumps(_about(scene, title, packed), ensure_ascii=True, allow_nan=False)
-    return Template(source("page.html")).substitute(
+    page = Template(source("page.html")).substitute(
         title=_escaped(title),
         style=source("style.css"),
         about=about.replace("<", "\\u003c"),
         gaussians=packed.base64,
         script="\n".join(source(name) for name in SCRIPTS),
     )
+    return page.encode()
 
 
 def _about(scene: Scene, title: str, packed: PackedGaussians) -> dict[str, Any]:
-    made = scene.provenance
+    made, places = scene.provenance, _places(scene)
     return {
         "name": title,
         "layout": [asdict(array) for array in packed.layout],
         "coefficients": packed.coefficients,
         "near_far": list(scene.near_far),
         "up": list(scene.vertical.up),
-        "distance": _distance(scene),
-        "views": [_view(scene, index) for index in range(len(scene.views))],
+        "distance": _distance(scene, places.cameras),
+        "views": [_view(places, index) for index in range(len(places.names))],
         "objects": [_object(scene, item) for item in scene.objects],
         "lines": [
             f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians",
             f"made by {made.generator} with {made.model}",
             "lengths in metres" if scene.units == "metres" else "lengths in arbitrary units",
+            *([f"edited: {len(made.edits)} operations"] if made.edits else []),
             *scene.warnings,
         ],
     }
 
 
-def _view(scene: Scene, index: int) -> dict[str, Any]:
-    world_from_cam = invert_rigid(scene.cameras.cam_from_world[index].detach().cpu().double())
-    intrinsics = scene.cameras.intrinsics[index].detach().cpu().double()
-    height, width = scene.height, scene.width
+def _places(scene: Scene) -> Places:
+    if scene.views:
+        names = tuple(view.file for view in scene.views)
+        return Places(scene.cameras, names, scene.photos.cpu().numpy())
+    size = scene.height, scene.width
+    cameras = around(scene.gaussians, scene.vertical.up, *size, frames=AROUND)
+    pictures = [color_picture(picture) for picture in scene.render(cameras, *size).colors]
+    names = tuple(f"around {number}" for number in range(1, AROUND + 1))
+    return Places(cameras, names, np.stack(pictures))
+
+
+def _view(places: Places, index: int) -> dict[str, Any]:
+    height, width = places.pictures.shape[1:3]
+    world_from_cam = invert_rigid(places.cameras.cam_from_world[index].detach().cpu().double())
+    intrinsics = places.cameras.intrinsics[index].detach().cpu().double()
     lens = [intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] - width / 2, intrinsics[1, 2]]
     return {
-        "file": scene.views[index].file,
+        "file": places.names[index],
         "rotation": world_from_cam[:3, :3].T.flatten().tolist(),
         "center": world_from_cam[:3, 3].tolist(),
         "lens": [float(value) / height for value in lens],
-        "photo": _jpeg(scene.photos[index].cpu().numpy(), PHOTO_HEIGHT),
+        "photo": _jpeg(places.pictures[index], PHOTO_HEIGHT),
     }
 
 
 def _object(scene: Scene, item: SceneObject) -> dict[str, Any]:
-    x0, y0, x1, y1 = item.best_view.bbox
-    picture = object_picture(scene, item)[y0:y1, x0:x1]
+    picture = object_picture(scene, item)
+    if item.best_view is not None:
+        x0, y0, x1, y1 = item.best_view.bbox
+        picture = picture[y0:y1, x0:x1]
     size = " x ".join(f"{length:.2g}" for length in item.obb.size)
     return {
         "id": item.id,
@@ -150,12 +182,13 @@ def _object(scene: Scene, item: SceneObject) -> dict[str, Any]:
     }
 
 
-def _distance(scene: Scene) -> float:
+def _distance(scene: Scene, cameras: Cameras) -> float:
     """Typical distance of the Gaussians from the first camera, scene units."""
-    if not len(scene.gaussians.means):
+    means = scene.gaussians.means
+    if not len(means):
         return 1.0
-    center = invert_rigid(scene.cameras.cam_from_world[0])[:3, 3]
-    return float(torch.linalg.vector_norm(scene.gaussians.means - center, dim=1).median())
+    center = invert_rigid(cameras.cam_from_world[0])[:3, 3]
+    return float(torch.linalg.vector_norm(means - center, dim=1).median())
 
 
 def _jpeg(picture: UInt8[np.ndarray, "height width 3"], longest: int) -> str:
