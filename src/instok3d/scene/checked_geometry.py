@@ -1,7 +1,7 @@
 """Geometry of photos after two checks: do the photos overlap, and do given cameras fit them?"""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool
@@ -12,13 +12,10 @@ from instok3d.backbones.nano.backbone import ComparedPhotos, NanoBackbone
 from instok3d.backbones.nano.common_points import contrast_share, find_common_points
 from instok3d.photos.loading import PhotoSet
 from instok3d.scene.camera_check import camera_notes
-from instok3d.scene.geometry_source import (
-    GeometrySource,
-    own_name,
-    supplied_geometry,
-    unsure_patches,
-)
+from instok3d.scene.colmap_source import ColmapSource, colmap_geometry
+from instok3d.scene.geometry_source import GeometrySource, own_name, supplied_geometry
 from instok3d.scene.odd_views import choose_matching_views
+from instok3d.scene.supplied import unsure_patches
 from instok3d.types import Geometry
 
 
@@ -43,7 +40,8 @@ class CheckedGeometry:
     notes: list[str]
     """Warnings about photos or cameras, one sentence each."""
     source: str
-    """Where cameras and depth come from: the name of a backbone, or "given"."""
+    """Where cameras and depth come from: the name of a backbone, "given", or "colmap" with the
+    versions of what it uses."""
     unsure_patches: Bool[Tensor, " patch"] | None = None
     """Of all views, on the CPU: where a source is unsure of its depth. None without a source."""
 
@@ -52,7 +50,8 @@ def checked_geometry(
     backbone: GeometryBackbone,
     photos: PhotoSet,
     device: str | torch.device,
-    source: GeometrySource | None = None,
+    source: GeometrySource | ColmapSource | None = None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> CheckedGeometry:
     """Geometry of the photos that overlap with others; the rest is left out with a note.
 
@@ -64,8 +63,15 @@ def checked_geometry(
         backbone: Predicts the geometry.
         photos: At least one.
         device: Where the backbone is.
-        source: Another backbone, whose cameras and depth the first one takes as given.
+        source: Another backbone or COLMAP, whose cameras and depth the first one takes as given.
+            COLMAP chooses itself which photos overlap.
+        progress: Called with how far COLMAP is.
     """
+    if isinstance(source, ColmapSource):
+        found = colmap_geometry(backbone, photos, device, progress)
+        unsure = unsure_patches(found.supplied.unsure, backbone.patch_size).cpu()
+        geometry = backbone(found.supplied.views)
+        return CheckedGeometry(found.photos, geometry, found.notes, found.source, unsure)
     posed = photos.views.cam_from_world is not None
     name, notes, compared = "given" if posed else own_name(backbone), [], ()
     if isinstance(backbone, NanoBackbone):
@@ -98,7 +104,7 @@ def check_photos(
     choice = choose_matching_views(points, contrast, photos.names, posed=posed)
     # 2. Features and depth of a view depend on all views: encode again without the others.
     if len(choice.kept) < len(photos.names):
-        photos = _select(photos, choice.kept)
+        photos = photos.select(choice.kept)
         views = photos.views.to(device)
         compared = backbone.compare(views)
         points = find_common_points(compared.pairs, views.images[0])
@@ -108,12 +114,3 @@ def check_photos(
         cameras, intrinsics = views.cam_from_world[0], views.intrinsics[0]
         notes = [*notes, *camera_notes(points, cameras, intrinsics, photos.names)]
     return CheckedPhotos(photos, compared, notes)
-
-
-def _select(photos: PhotoSet, kept: Sequence[int]) -> PhotoSet:
-    """Some of the photos, in the order of `kept`."""
-    rows = {
-        name: tuple(getattr(photos, name)[index] for index in kept)
-        for name in ("pixel_maps", "paths", "names", "sha256")
-    }
-    return replace(photos, views=photos.views.map(lambda value: value[:, list(kept)]), **rows)

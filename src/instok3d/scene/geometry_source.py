@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
@@ -21,19 +21,15 @@ from instok3d.files import sha256_of
 from instok3d.geometry.cameras import resize_intrinsics
 from instok3d.photos.image_decoding import decode_photo, own_pixel_limit
 from instok3d.photos.loading import PhotoSet
+from instok3d.scene.colmap_source import ColmapSource, check_colmap
+from instok3d.scene.supplied import SuppliedGeometry, find_unsure, in_typical_lengths
 from instok3d.types import Geometry, Views
 from instok3d.weights import find_entry, weights_path
 from instok3d.weights.cache import place_of
 
 PUBLISHED = ("vggt-1b", "da3-base", "da3-small")
 """Backbones with published weights, named as those are; `auto` takes the first that is there."""
-CHOICES = ("nano", *reversed(PUBLISHED), "given", "auto")
-TYPICAL_DEPTH = 2.5
-"""Median depth of a room in metres, to which a scene of arbitrary units is scaled: models that
-take lengths as they are were trained on rooms in metres."""
-UNSURE = 0.25
-"""Depth is unsure below this share of the median confidence. Networks learn a confidence that is
-inverse to the expected error, so such depth is expected to be four times as wrong as usual."""
+CHOICES = ("nano", *reversed(PUBLISHED), "colmap", "given", "auto")
 
 
 @dataclass(frozen=True)
@@ -53,18 +49,9 @@ class GeometrySource:
         return self.config, Work(views, self.config.image_side, self.config.image_side)
 
 
-@dataclass(frozen=True)
-class SuppliedGeometry:
-    """Photos of the model's size with the cameras and depth of a source."""
-
-    views: Views
-    """A batch of one. Depth is 0 where it is unsure."""
-    unsure: Bool[Tensor, "view height width"]
-
-
 def find_source(
     geometry: str | GeometryBackbone, *, posed: bool
-) -> tuple[GeometrySource | None, list[str]]:
+) -> tuple[GeometrySource | ColmapSource | None, list[str]]:
     """What `reconstruct(geometry=...)` asks for, and notes; None is the model's own backbone.
 
     Args:
@@ -73,7 +60,9 @@ def find_source(
 
     Raises:
         MissingWeightsError: The weights are not on this machine; says how to get them.
-        ValueError: It is none of CHOICES, or "given" without cameras; or the weights are damaged.
+        ModuleNotFoundError: It is "colmap", and pycolmap is not installed.
+        ValueError: It is none of CHOICES, "given" without cameras or "colmap" with cameras; or the
+            weights are damaged.
     """
     if isinstance(geometry, GeometryBackbone):
         name = own_name(geometry)
@@ -85,6 +74,9 @@ def find_source(
         )
     if geometry == "given" and not posed:
         raise ValueError("geometry 'given' needs cameras: give them (--cameras), or take 'auto'")
+    if geometry == "colmap":
+        check_colmap(posed=posed)
+        return ColmapSource(), []
     notes = []
     if geometry == "auto":
         geometry = "given" if posed else next(filter(_is_here, PUBLISHED), "nano")
@@ -127,16 +119,8 @@ def supplied_geometry(
     # 2. Nearest pixels, so that no depth between two surfaces arises.
     depths = _resized(seen.depths.float(), height, width)
     confidences = _resized(seen.confidences.float(), height, width)
-    sound = depths.isfinite() & (depths > 0) & confidences.isfinite()
-    cameras = seen.cameras
-    if not (sound.any() and cameras.cam_from_world.isfinite().all()
-            and cameras.intrinsics.isfinite().all()):  # fmt: skip
-        raise ValueError(
-            f"{source.name} finds no geometry in these photos: its answer is not finite; take "
-            "--geometry nano"
-        )
     # 3. Unsure depth counts as unknown, except where the user gave it.
-    unsure = ~sound | (confidences < UNSURE * confidences[sound].median())
+    unsure = find_unsure(depths, confidences, seen.cameras, name=source.name)
     depths = torch.where(unsure, 0, depths)
     if own.depths is not None:
         unsure &= own.depths <= 0
@@ -144,21 +128,11 @@ def supplied_geometry(
     if own.cam_from_world is not None:
         return SuppliedGeometry(replace(own, depths=depths), unsure[0])
     # 4. Lengths as in the rooms that models are trained on.
-    scale = TYPICAL_DEPTH / depths[~unsure].median()
-    cam_from_world = cameras.cam_from_world.float().clone()
-    cam_from_world[..., :3, 3] *= scale
     intrinsics = resize_intrinsics(
-        cameras.intrinsics.float(), scale_x=width / side, scale_y=height / side
+        seen.cameras.intrinsics.float(), scale_x=width / side, scale_y=height / side
     )
-    views = Views(own.images, intrinsics, cam_from_world, depths * scale)
-    return SuppliedGeometry(views, unsure[0])
-
-
-def unsure_patches(
-    unsure: Bool[Tensor, "view height width"], patch_size: int
-) -> Bool[Tensor, " patch"]:
-    """Patches that are unsure in more than half of their pixels, view by view, row-major."""
-    return (functional.avg_pool2d(unsure[:, None].float(), patch_size) > 0.5).flatten()
+    views = Views(own.images, intrinsics, seen.cameras.cam_from_world, depths)
+    return SuppliedGeometry(in_typical_lengths(views), unsure[0])
 
 
 def _read_images(photos: PhotoSet, side: int) -> Float[Tensor, "1 view 3 {side} {side}"]:

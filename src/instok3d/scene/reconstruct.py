@@ -19,7 +19,7 @@ from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
 from instok3d.scene.checked_geometry import checked_geometry
 from instok3d.scene.from_tokens import bare_scene, with_objects
-from instok3d.scene.geometry_source import find_source
+from instok3d.scene.geometry_source import GeometrySource, find_source
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
 from instok3d.scene.scene import Scene
@@ -68,10 +68,11 @@ def reconstruct(
             scene.json. The scene is then in their world and units; otherwise in the frame of
             the first photo's camera and in arbitrary units.
         geometry: Where cameras and depth come from. "nano": the model's own backbone (nano in the
-            default model), which keeps what is given. "vggt-1b", "da3-base", "da3-small": that
-            network, whose answer the model takes as if it were given. "given": as "nano", but
-            without cameras refused. "auto": what is given, else the best network whose weights are
-            on this machine; a note says which. Or a backbone.
+            default model), which keeps what is given. "vggt-1b", "da3-small", "da3-base": that
+            network, whose answer the model takes as if it were given. "colmap": cameras by COLMAP
+            (needs pycolmap) from the whole photos, with the own backbone's depth fitted to its
+            points. "given": as "nano", but without cameras refused. "auto": what is given, else
+            the best network whose weights are on this machine; a note says which. Or a backbone.
         allow_outside: Let the camera file name photos and depth outside of its folder.
         model: A model file, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
@@ -86,9 +87,10 @@ def reconstruct(
     Raises:
         FileNotFoundError: Something named is not there; MissingWeightsError for the model or the
             geometry.
+        ModuleNotFoundError: geometry is "colmap", and pycolmap is not installed.
         PermissionError: Something may not be read.
-        ValueError: No photo, a damaged one, or cameras that do not fit; says which. Or the
-            device or the seed cannot be used.
+        ValueError: No photo, a damaged one, or cameras that do not fit; says which. Or
+            COLMAP registers no two photos. Or the device or the seed cannot be used.
         NotEnoughMemoryError: So many views are predicted not to fit; says how many would.
     """
     begin = progress or (lambda stage: None)
@@ -111,14 +113,16 @@ def reconstruct(
         work = Work(photo_set.views.images.shape[1], side, side)
         check_memory(
             *read_sizes(path), work, device=device, advice="give max_views (--max-views)",
-            first=None if source is None else source.work(work.views),
+            first=source.work(work.views) if isinstance(source, GeometrySource) else None,
         )  # fmt: skip
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         begin("geometry")
-        checked = checked_geometry(tokenizer.backbone, photo_set, device, source)
+        checked = checked_geometry(
+            tokenizer.backbone, photo_set, device, source, lambda text: begin(f"geometry: {text}")
+        )
         begin("tokens")
         photo_set = checked.photos
         tokens = tokenizer(photo_set.views.to(device), checked.geometry).to("cpu")

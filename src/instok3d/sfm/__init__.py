@@ -1,0 +1,1 @@
+"""Cameras of photos by structure from motion (optional: `pip install 'instok3d[sfm]'`)."""
