@@ -33,15 +33,11 @@ def scene() -> RenderedScene:
 def digest(room: Room) -> str:
     """Of what was placed where, and of which triangles and materials; rounded, as other kinds of
     processors come to slightly other numbers."""
-    placed = [
-        (
-            p.generator,
-            p.furniture.name,
-            p.parent,
-            *tuple(round(float(v), 3) + 0.0 for v in (p.x, p.y, p.z, *p.furniture.size)),
-        )
-        for p in room.plan.placed
-    ]
+    placed = []
+    for p in room.plan.placed:
+        lengths = (p.x, p.y, p.z, *p.furniture.size)
+        numbers = [round(float(value), 3) + 0.0 for value in lengths]
+        placed.append((p.generator, p.furniture.name, p.parent, *numbers))
     looks = [
         (m.kind, m.light, round(float(m.tile_m), 3), round(float(m.texture.mean())))
         for m in room.mesh.materials

@@ -58,6 +58,16 @@ def cloth(rng: np.random.Generator) -> Color:
     return vivid(rng, (0.2, 0.8), (0.2, 0.85))
 
 
+def homely(
+    rng: np.random.Generator, saturation: tuple[Number, Number], value: tuple[Number, Number]
+) -> Color:
+    """A stronger colour of homes: red to yellow, green or blue, seldom any other."""
+    hue = rng.choice([0.0, 0.04, 0.08, 0.12, 0.25, 0.38, 0.55, 0.6, 0.64]) + rng.normal(0, 0.02)
+    if rng.random() < 0.1:
+        hue = rng.random()
+    return hsv(hue, rng.uniform(*saturation), rng.uniform(*value))
+
+
 def interior(rng: np.random.Generator) -> Color:
     """A colour that walls of real homes have: white, grey, dull, or strong."""
     kind = rng.random()
@@ -66,15 +76,15 @@ def interior(rng: np.random.Generator) -> Color:
     if kind < 0.6:
         return hsv(rng.choice([0.1, 0.6]), rng.uniform(0, 0.12), rng.uniform(0.35, 0.78))
     if kind < 0.82:
-        return vivid(rng, (0.06, 0.28), (0.4, 0.85))
-    return vivid(rng, (0.25, 0.6), (0.25, 0.65))
+        return homely(rng, (0.06, 0.28), (0.4, 0.85))
+    return homely(rng, (0.25, 0.6), (0.25, 0.65))
 
 
 def neutral(rng: np.random.Generator, strong: Number = 0.25) -> Color:
     """White, grey, black or beige, or a stronger colour as often as said."""
     kind = rng.random()
     if kind < strong:
-        return vivid(rng, (0.2, 0.8), (0.15, 0.8))
+        return homely(rng, (0.2, 0.8), (0.15, 0.8))
     value = rng.choice([rng.uniform(0.03, 0.15), rng.uniform(0.2, 0.6), rng.uniform(0.75, 0.96)])
     return hsv(rng.choice([0.07, 0.1, 0.6, 0.62]), rng.uniform(0, 0.2), value)
 
@@ -83,7 +93,7 @@ def dull(rng: np.random.Generator) -> Color:
     """A colour of carpets and heavy cloth: grey, brown, or faint."""
     if rng.random() < 0.4:
         return hsv(rng.choice([0.08, 0.1, 0.6]), rng.uniform(0, 0.15), rng.uniform(0.08, 0.75))
-    return vivid(rng, (0.08, 0.45), (0.12, 0.65))
+    return homely(rng, (0.08, 0.45), (0.12, 0.65))
 
 
 def printed(rng: np.random.Generator) -> Color:

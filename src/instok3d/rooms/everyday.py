@@ -11,6 +11,7 @@ from instok3d.rooms.materials import Maker
 from instok3d.rooms.objects import REGISTRY, Furniture
 from instok3d.rooms.plan import Box, Placed, Plan, Wall
 from instok3d.rooms.seeding import Streams
+from instok3d.rooms.wiring import wire
 
 _HOME: Weights = {"magazines": 2, "papers": 1.5, "book_stack": 2, "standing_books": 2, "jar": 1,
                   "glass": 2, "cup": 1.5, "package": 1.5, "picture_stand": 2, "basket": 1.5,
@@ -65,7 +66,10 @@ class EverydayThings:
         self.count = 0
 
     def build(self) -> None:
-        """Things on walls, then on the floor, then on furniture."""
+        """Sockets and cables, then things on walls, on the floor, and on furniture."""
+        sockets = int(self.streams.child("sockets").integers(*self.level.sockets))
+        if sockets:
+            wire(self.plan, self.maker("wiring"), sockets)
         self._on_walls(self.streams.child("things on walls"))
         self._on_floor(self.streams.child("things on the floor"))
         self._on_furniture(self.streams.child("things on furniture"))

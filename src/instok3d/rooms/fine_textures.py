@@ -53,12 +53,12 @@ def wallpaper(rng: np.random.Generator, first: Color, second: Color) -> Texture:
 def _grain(rng: np.random.Generator, strength: Number) -> Noise:
     """Dark streaks and broad bands that run up."""
     streaks = np.minimum(band(rng, int(rng.choice([20, 32, 48])), 9.0), 0.5)
-    return strength * (0.55 * streaks + 0.5 * noise(rng, 2.4, down=0.07))
+    return strength * (0.55 * streaks + 0.5 * noise(rng, 2.4, down=14))
 
 
 def wood(rng: np.random.Generator, color: Color) -> Texture:
     """Wood from even to strongly figured."""
-    return shaded(color, _grain(rng, rng.uniform(0.06, 0.26)) + 0.03 * noise(rng, 0.8, down=0.03))
+    return shaded(color, _grain(rng, rng.uniform(0.06, 0.26)) + 0.03 * noise(rng, 0.8, down=30))
 
 
 def _turned(picture: np.ndarray, odd: np.ndarray) -> np.ndarray:

@@ -309,10 +309,10 @@ def white_balance(room: Room, rng: np.random.Generator) -> Float[np.ndarray, " 3
     """Gains of a camera that takes one of the room's lights for white, or something between."""
     sources = [m for m in room.mesh.materials if m.light in ("lamp", "window") and m.emission > 0]
     first, second = (sources[int(rng.integers(len(sources)))] for _ in range(2))
-    mixed, share = rng.random(), rng.uniform(0.55, 1.0)
+    mixed, share = rng.random(), rng.uniform(0.65, 1.0)
     a, b = (LINEAR[m.texture[::8, ::8]].mean((0, 1)) for m in (first, second))
     seen = a / a.mean() * (1 - mixed) + b / b.mean() * mixed
-    gains = seen**-share * np.exp(rng.normal(0, 0.05, 3))
+    gains = seen**-share * np.exp(rng.normal(0, 0.03, 3))
     return (gains / gains.mean()).astype(F32)
 
 
