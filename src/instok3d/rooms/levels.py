@@ -101,10 +101,10 @@ LEVELS = {
               night=0.35, lamps=(0.35, 0.45, 0.2), unlit=0.3, exposure_stops=(-1.5, 0.5),
               drift_stops=0.35, fov_deg=(55.0, 70.0), gloss=True, sensor=True),
         Level("real", (9, 16), 12, (2, 6), 1.6, False, natural=True, things_per_m2=(8.0, 40.0),
-              wall_things=(6, 17), floor_things=(3, 13), sockets=(4, 14), notch=0.3, partition=0.25,
+              wall_things=(8, 22), floor_things=(3, 13), sockets=(4, 14), notch=0.3, partition=0.25,
               daylight=(1.5, 8.0), night=0.35, lamps=(0.4, 0.35, 0.25), unlit=0.3, sun=0.6,
               ambient=(0.4, 0.9), window_visible=(2.0, 12.0), lamp_visible=5.0,
-              mean_luma=(0.19, 0.34, 0.56), contrast=(0.2, 1.0), white_balance=True,
+              mean_luma=(0.2, 0.36, 0.56), contrast=(0.4, 1.0), white_balance=True,
               fov_deg=(40.0, 95.0), fov_mode_deg=66.0, height_m=(1.1, 1.75), tilt=1.7,
               near_m=0.8, near_share=0.2, gloss=True),
     )

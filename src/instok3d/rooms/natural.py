@@ -45,6 +45,8 @@ class NaturalMaker(Maker):
 
     def wood(self) -> Material:
         """Wood with a grain that shows."""
+        if found := self.from_file("wood", (0.7, 1.5), 0.06):
+            return found
         color = colors.wood(self.rng) * self.uniform(0.45, 1.0)
         texture = fine_textures.wood(self.rng, color)
         return Material("wood", texture, self.uniform(0.8, 1.6), self.uniform(0, 0.15))
@@ -53,6 +55,8 @@ class NaturalMaker(Maker):
         """Cloth, plain to printed."""
         if color is None and self.kit and self.chance(0.5):
             return self.choice(self.kit.fabrics)
+        if color is None and (found := self.from_file("cloth", (0.3, 0.9))):
+            return found
         color = colors.neutral(self.rng) if color is None else color
         if self.style.held_out and self.chance(0.2):
             return self.pattern("fabric", color, colors.neutral(self.rng), self.uniform(0.25, 0.9))
