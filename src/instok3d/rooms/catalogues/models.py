@@ -34,9 +34,11 @@ MAX_HOLES = 0.2
 MAX_ELEVATION_M = 2.0
 MIN_AREA_M2 = 1e-10
 """Smaller triangles are left out."""
+MAX_TILES = 1000.0
+"""Most repetitions of a picture on one face."""
 SHARE = 0.5
 """Of the pieces of a class that has many models are models."""
-RARE = 1.0
+RARE = 2.0
 """A class with so many models has half the share, so that a lone model is not everywhere."""
 CACHED = 160
 """Models that a process keeps in memory."""
@@ -174,7 +176,7 @@ def _part(part: GlbPart) -> Part:
     corners = vertices[faces]
     uvs, tile_m = np.zeros((len(corners) * 3, 2)), 1.0
     if part.uvs is not None:
-        upwards = np.stack([part.uvs[:, 0], 1 - part.uvs[:, 1]], 1)[faces]
+        upwards = _near_zero(np.stack([part.uvs[:, 0], 1 - part.uvs[:, 1]], 1)[faces])
         tile_m = _tile_m(upwards, float(_areas(corners).sum()))
         uvs = upwards.reshape(-1, 2) * tile_m
     normals = corner_normals(vertices, faces)
@@ -182,6 +184,12 @@ def _part(part: GlbPart) -> Part:
         corners.reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3),
         normals.reshape(-1, 3), uvs, _material(part.surface, tile_m),
     )  # fmt: skip
+
+
+def _near_zero(uvs: Float[np.ndarray, "face 3 2"]) -> Float[np.ndarray, "face 3 2"]:
+    """Each face moved by whole tiles to the first one: exported files hold numbers like 3e9."""
+    moved = uvs - np.floor(uvs.min(1, keepdims=True))
+    return np.clip(moved, 0, MAX_TILES)
 
 
 def _tile_m(uvs: Float[np.ndarray, "face 3 2"], area_m2: float) -> float:
