@@ -116,6 +116,17 @@ def text(value: Any) -> str:
     return value
 
 
+def one_line(value: Any) -> str:
+    """A value of JSON that is one line of text.
+
+    Raises:
+        ValueError: It is something else.
+    """
+    if not text(value).isprintable() or not value.strip():
+        raise ValueError(f"{value!r} is no line of text")
+    return value
+
+
 def parse_npy(data: bytes, what: object, remedy: str) -> np.ndarray:
     """The numbers of a .npy file, whose header is checked before anything is allocated.
 

@@ -27,6 +27,10 @@ class JoinedScenes:
             for source in self._sources
             if number < len(source)
         ]
+        self.credits = sorted(
+            {line for source in self._sources for line in getattr(source, "credits", ())}
+        )
+        """Whose work the pictures show, one line each."""
         seen: set[str] = set()
         for source, number in self._places:
             name = source.name_of(number)

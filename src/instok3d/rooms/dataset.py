@@ -56,6 +56,7 @@ class RoomDataset:
         self.resolution: int = index["resolution"]
         self._frames_per_scene: int = index["frames"]
         self.credits = credits_of(index.get("catalogues", {}))
+        """Whose models and textures the pictures show, one line each."""
         found = [
             (seed, name, row, record["levels"][row])
             for name, record in index["shards"].items()

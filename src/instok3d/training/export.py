@@ -7,6 +7,7 @@ from typing import Any
 from instok3d.reading import naming_damage, reason_of
 from instok3d.training.checkpoint import read_checkpoint
 from instok3d.training.config import TrainConfig, from_json
+from instok3d.training.credits import read_credits
 from instok3d.training.run_log import read_metrics
 from instok3d.training.stages.answers import AveragedRun
 from instok3d.training.stages.stage import StageConfig
@@ -50,6 +51,8 @@ def export_model(
         "config": settings,
         "notes": notes,
     }
+    if credits := read_credits(run):
+        card["credits"] = credits
     weights = {**checkpoint["model"], **checkpoint["average"]}
     try:
         config.stage.export(AveragedRun(run, weights, card), output, half=half)

@@ -31,6 +31,7 @@ from instok3d.training.checkpoint import (
     save_checkpoint,
 )
 from instok3d.training.config import TrainConfig, to_json, write_config
+from instok3d.training.credits import keep_credits
 from instok3d.training.distributed import Processes, joined_processes, share, whole
 from instok3d.training.held_out import split_scenes, validation_samples
 from instok3d.training.plots import plot_curves
@@ -185,6 +186,7 @@ def _prepared(
         for place in (folder, folder / "checkpoints", folder / "pictures"):
             remove_leftovers(place)
         write_config(folder, config, commit=current_commit())
+        keep_credits(folder, source, resume=resume, init_from=init_from)
         for views in config.validation_views:
             validation[views] = validation_samples(source, held_out, views)
             height, width = validation[views][0].context.images.shape[-2:]

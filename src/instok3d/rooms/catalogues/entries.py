@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from instok3d.files import json_text, sha256_of
-from instok3d.reading import naming_damage, read_json, text
+from instok3d.reading import naming_damage, one_line, read_json
 
 CATALOGUE = "catalog.json"
 REMEDY = "correct it, or choose another folder"
@@ -72,17 +72,6 @@ def read_catalogue(folder: Path, fields: Sequence[str]) -> list[dict[str, Any]]:
                 raise ValueError(f"two records name a file {file.stem!r}")
             seen.add(file.stem)
     return records
-
-
-def one_line(value: Any) -> str:
-    """A value of JSON that is one line of text.
-
-    Raises:
-        ValueError: It is something else.
-    """
-    if not text(value).isprintable() or not value.strip():
-        raise ValueError(f"{value!r} is no line of text")
-    return value
 
 
 def digest(folder: Path, entries: Sequence[Entry]) -> str:

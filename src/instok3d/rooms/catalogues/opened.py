@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from instok3d.files import replacing
-from instok3d.reading import text, whole_number
-from instok3d.rooms.catalogues.entries import counted, digest, one_line
+from instok3d.reading import one_line, text, whole_number
+from instok3d.rooms.catalogues.entries import counted, digest
 from instok3d.rooms.catalogues.models import FurnitureCatalogue
 from instok3d.rooms.catalogues.texture_files import TextureCatalogue
 
