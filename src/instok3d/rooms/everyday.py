@@ -1,14 +1,12 @@
 """The things of everyday life in a furnished room: on furniture, on walls, on the floor."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from instok3d.rooms.colors import Number
 from instok3d.rooms.furnishing import Weights, put_on_top
 from instok3d.rooms.levels import Level
-from instok3d.rooms.materials import Maker
-from instok3d.rooms.objects import REGISTRY, Furniture
+from instok3d.rooms.objects import Furniture
+from instok3d.rooms.pieces import Pieces
 from instok3d.rooms.plan import Box, Placed, Plan, Wall
 from instok3d.rooms.seeding import Streams
 from instok3d.rooms.wiring import wire
@@ -59,11 +57,10 @@ class EverydayThings:
         streams: Streams,
         level: Level,
         room_type: str,
-        maker: Callable[..., Maker],
+        pieces: Pieces,
     ):
         self.plan, self.level, self.room_type = plan, level, room_type
-        self.streams, self.maker = streams, maker
-        self.count = 0
+        self.streams, self._make = streams, pieces.make
 
     def build(self) -> None:
         """Sockets and cables, then things on walls, on the floor, and on furniture."""
@@ -77,8 +74,7 @@ class EverydayThings:
     def _draw(self, rng: np.random.Generator, weights: Weights) -> tuple[str, Furniture]:
         odds = np.array(list(weights.values()), float)
         name = str(rng.choice(list(weights), p=odds / odds.sum()))
-        self.count += 1
-        return name, REGISTRY[name](self.maker("thing", name, self.count))
+        return name, self._make(name)
 
     def _on_furniture(self, rng: np.random.Generator) -> None:
         """As many things as the area of each support asks for, as far as they fit."""

@@ -1,16 +1,15 @@
 """Filling the empty room: furniture, rugs, things on furniture, things on walls, lamps."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from instok3d.rooms.catalogues.models import FurnitureCatalogue
 from instok3d.rooms.colors import Number
 from instok3d.rooms.levels import Level
-from instok3d.rooms.materials import Maker
-from instok3d.rooms.objects import HELD_OUT_GENERATORS, REGISTRY
+from instok3d.rooms.objects import HELD_OUT_GENERATORS
 from instok3d.rooms.objects.base import Furniture, Support
+from instok3d.rooms.pieces import Pieces
 from instok3d.rooms.plan import Box, Placed, Plan, Wall
 from instok3d.rooms.primitives import rot_z
 from instok3d.rooms.seeding import Streams
@@ -88,14 +87,12 @@ class Furnisher:
         streams: Streams,
         level: Level,
         room_type: str,
-        maker: Callable[..., Maker],
+        pieces: Pieces,
         held_out: bool,
-        models: FurnitureCatalogue | None = None,
     ):
         self.plan, self.level, self.room_type = plan, level, room_type
-        self.streams, self.maker, self.held_out = streams, maker, held_out
-        self.models = models
-        self.count = 0
+        self.streams, self.held_out = streams, held_out
+        self._make = pieces.make
 
     def build(self) -> None:
         """Everything, from large to small."""
@@ -104,14 +101,6 @@ class Furnisher:
         self._ceiling_lamps(self.streams.child("ceiling lamps"))
         self._wall_items(self.streams.child("wall items"))
         self._small(self.streams.child("small things"))
-
-    def _make(self, name: str) -> Furniture:
-        self.count += 1
-        if self.models is not None:
-            model = self.models.draw(self.streams.child("model", name, self.count), name)
-            if model is not None:
-                return model
-        return REGISTRY[name](self.maker("object", name, self.count))
 
     def _pick(self, rng: np.random.Generator, weights: Weights) -> str:
         """A generator's name; held-out ones never, or three times as often in transfer rooms."""

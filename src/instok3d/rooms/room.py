@@ -11,6 +11,7 @@ from instok3d.rooms.levels import Level, level_of
 from instok3d.rooms.materials import Maker, Style
 from instok3d.rooms.mesh import Mesh, build_mesh
 from instok3d.rooms.natural import NaturalMaker
+from instok3d.rooms.pieces import Pieces
 from instok3d.rooms.plan import Plan
 from instok3d.rooms.seeding import Streams, split_of
 from instok3d.rooms.shell import Shell
@@ -70,6 +71,7 @@ def build_room(seed: int, level: str = "mix", catalogues: Catalogues = NO_CATALO
 
     Shell(plan, streams, chosen, room_type, maker).build()
     models = catalogues.furniture
-    Furnisher(plan, streams, chosen, room_type, maker, held_out, models).build()
-    EverydayThings(plan, streams, chosen, room_type, maker).build()
+    objects, things = (Pieces(kind, maker, streams, models) for kind in ("object", "thing"))
+    Furnisher(plan, streams, chosen, room_type, objects, held_out).build()
+    EverydayThings(plan, streams, chosen, room_type, things).build()
     return Room(seed, chosen, room_type, plan, build_mesh(plan.placed))

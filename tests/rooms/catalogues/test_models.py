@@ -78,6 +78,17 @@ def test_coordinates_far_outside_a_picture_stay_within_what_the_renderer_counts(
         np.testing.assert_allclose(tiles, same.uvs, atol=1e-5)
 
 
+def test_what_hangs_on_a_wall_has_its_origin_in_the_middle_of_its_back(tmp_path):
+    cabinet = block((-0.3, 1.4, -0.2), (0.3, 2.0, 0.2))
+    folder = write_furniture(tmp_path, {"Upper cabinet": [cabinet]}, elevation_m=1.4)
+    catalogue, rng = FurnitureCatalogue.open(folder), np.random.default_rng(0)
+    model = next(m for _ in range(99) if (m := catalogue.draw(rng, "wall_cabinet")) is not None)
+    corners = np.concatenate([part.vertices for part in model.parts])
+    np.testing.assert_allclose(corners.min(0), [-0.3, -0.4, -0.3], atol=1e-6)
+    np.testing.assert_allclose(corners.max(0), [0.3, 0.0, 0.3], atol=1e-6)
+    assert (model.name, model.supports) == ("cabinet", ())
+
+
 def test_small_things_stand_on_a_model_and_not_on_one_that_hangs(tmp_path):
     folder = write_furniture(tmp_path, {"Table": table()})
     (support,) = load_model(folder / "Table.glb", "table").supports

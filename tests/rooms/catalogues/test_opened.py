@@ -79,6 +79,15 @@ def test_models_stand_where_generators_would_and_carry_things(furniture):
         assert record["aabb_m"][0][2] > 0.4
 
 
+@pytest.mark.usefixtures("always")
+def test_everyday_things_of_real_rooms_are_models_too(tmp_path):
+    shoes = table(0.2, 0.3, 0.1)
+    catalogues = Catalogues.open(write_furniture(tmp_path, {"Sneakers": shoes, "Plate": shoes}))
+    found = [r for seed in range(2) for r in of_models(build_room(seed, "real", catalogues))]
+    assert {record["class"] for record in found} <= {"shoes", "bowl"}
+    assert found
+
+
 def test_files_lie_on_floors_and_walls(textures):
     catalogues = Catalogues.open(textures=textures)
     kinds = set()

@@ -8,6 +8,9 @@ CLASS_OF_GENERATOR = {
     "floor_lamp": "lamp", "table_lamp": "lamp", "small_plant": "plant", "coffee_table":
     "coffee table", "side_table": "side table", "tv_stand": "tv stand", "washing_machine":
     "washing machine", "trash_can": "trash can", "shower_curtain": "shower curtain",
+    "basket": "box", "cloth": "clothes", "folded_towels": "towel", "hung_clothes": "clothes",
+    "hung_towel": "towel", "jar": "bottle", "package": "box", "papers": "paper", "pen_holder":
+    "cup", "picture_stand": "picture", "plates": "bowl", "wall_cabinet": "cabinet",
 }  # fmt: skip
 """Class of the generators that are not called like it."""
 
@@ -60,16 +63,34 @@ _NAMES = {
     "vase": ("old jar", "pottery", "vase"),
     "bottle": ("baby bottle", "bottle", "flacon", "medicine bottle", "oil servers", "soap",
                "wine bottle"),
+    "jar": ("cosmetics pot", "salt shaker", "sugar"),
     "cup": ("beer glass", "cocktail glass", "coffee cup", "coffee mug", "glass", "plastic cup"),
     "bowl": ("bowl", "bowl with salad"),
+    "plates": ("oval plate", "plate"),
+    "pen_holder": ("utensils pot",),
+    "package": ("medicine box", "milk"),
+    "papers": ("newspaper",),
+    "basket": ("bread box", "clothes basket", "shopping basket"),
+    "picture_stand": ("frame chambord", "frame hôi an"),
+    "shoes": ("bootie", "mocassin", "slippers", "sneakers", "woman shoes"),
+    "cloth": ("cap", "folded clothes", "hat", "jacket", "short", "skirt", "trousers"),
+    "hung_clothes": ("hanging clothes", "suit"),
+    "hung_towel": ("towel rack",),
+    "wall_cabinet": ("glass door cabinet", "small upper cabinet", "upper cabinet"),
 }  # fmt: skip
 """Generator, and the names of models that look like what it makes."""
+
+ON_WALLS = ("hung_clothes", "hung_towel", "wall_cabinet")
+"""Generators of things that hang on a wall by their back."""
 
 GENERATOR_OF_NAME = {name: generator for generator, names in _NAMES.items() for name in names}
 
 GENERATOR_OF_FILE = {
     "Blend_Swap_CC-0_armchair": "chair",
     "Blend_Swap_CC-0_bookcase": "cabinet",
+    "Blend_Swap_CC-0_towel2": "hung_towel",
+    "Scopia_com_bath3_toalla": "folded_towels",
+    "Kator_Legaz_towel-rack": "",
     "Scopia_box_room": "",
     "Scopia_dining_room": "cabinet",
     "Scopia_living_lamp": "floor_lamp",

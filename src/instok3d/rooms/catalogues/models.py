@@ -18,11 +18,11 @@ from instok3d.rooms.catalogues.entries import (
 )
 from instok3d.rooms.catalogues.entries import REMEDY as CATALOGUE_REMEDY
 from instok3d.rooms.catalogues.glb import GlbPart, Surface, read_glb
-from instok3d.rooms.catalogues.model_classes import class_of, generator_of
+from instok3d.rooms.catalogues.model_classes import ON_WALLS, class_of, generator_of
 from instok3d.rooms.catalogues.shading import corner_normals
 from instok3d.rooms.catalogues.supports import ROUGH_M, level_supports
 from instok3d.rooms.materials import Material
-from instok3d.rooms.objects.base import Furniture, standing
+from instok3d.rooms.objects.base import Furniture, standing, wall_mounted
 from instok3d.rooms.primitives import Part
 from instok3d.rooms.textures import resampled, uniform
 
@@ -90,24 +90,31 @@ class FurnitureCatalogue:
         if not fitting or rng.random() >= SHARE * len(fitting) / (len(fitting) + RARE):
             return None
         entry = fitting[int(rng.integers(len(fitting)))]
-        return load_model(self.folder / entry.file, class_of(generator), entry.elevation_m)
+        path, name = self.folder / entry.file, class_of(generator)
+        if generator in ON_WALLS:
+            return load_model(path, name, on_wall=True)
+        return load_model(path, name, entry.elevation_m)
 
 
 @lru_cache(CACHED)
-def load_model(path: Path, name: str, elevation_m: float = 0.0) -> Furniture:
-    """A model as furniture: front to -y, z up, on the floor or hanging above it.
+def load_model(path: Path, name: str, elevation_m: float = 0.0, on_wall: bool = False) -> Furniture:
+    """A model as furniture: front to -y, z up, on the floor, above it, or on a wall.
 
     Args:
         path: The GLB file, in metres, with its front to the file's +z.
         name: Its class.
         elevation_m: How high above the floor its lowest point is.
+        on_wall: Its origin is the middle of its back, not of its footprint.
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: It is damaged.
     """
     parts = [_part(part) for part in read_glb(path)]
-    model = standing(name, [part for part in parts if len(part.faces)])
+    parts = [part for part in parts if len(part.faces)]
+    model = wall_mounted(name, parts) if on_wall else standing(name, parts)
+    if on_wall:
+        return replace(model, source=f"model:{path.stem}")
     if name in SUPPORTING:
         rough_m = ROUGH_M if name == "sofa" else 0.0
         model = replace(model, supports=level_supports(model.parts, rough_m))
