@@ -204,3 +204,12 @@ def test_a_page_replaces_nothing_unasked(tmp_path: Path, scene: Scene):
     assert (tmp_path / "a.html").read_text() == "mine"
     export_scene(scene, tmp_path / "a.html", ExportOptions(sh_degree=0, overwrite=True))
     assert about_of(tmp_path / "a.html")["coefficients"] == 1
+
+
+def test_an_edited_scene_is_written_as_it_is_drawn(tmp_path: Path, scene: Scene):
+    # Object 3 is hidden; the copy of object 1 stands behind the cameras, so that no view shows it.
+    edited = scene.hide(3).duplicate(1, (0, 0, -9))
+    write_page(edited, tmp_path / "room.html")
+    about = about_of(tmp_path / "room.html")
+    assert [item["key"] for item in about["objects"]] == ["object#1", "object#5"]
+    assert f"edited: 2 operations, source sha256 {edited.provenance.edited_from}" in about["lines"]

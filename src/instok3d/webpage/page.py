@@ -17,6 +17,7 @@ from PIL import Image
 from instok3d.files import replacing
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.pictures import color_picture
+from instok3d.scene.edits.disclosure import edited_words
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.paths import around
 from instok3d.scene.previews import object_picture
@@ -134,7 +135,7 @@ def _about(scene: Scene, title: str, packed: PackedGaussians) -> dict[str, Any]:
             f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians",
             f"made by {made.generator} with {made.model}",
             "lengths in metres" if scene.units == "metres" else "lengths in arbitrary units",
-            *([f"edited: {len(made.edits)} operations"] if made.edits else []),
+            *([edited_words(scene)] if scene.edits else []),
             *scene.warnings,
         ],
     }
