@@ -86,3 +86,15 @@ def test_a_label_finds_its_object_unless_several_have_it():
     assert scene.object("lamp").id == scene.object("lamp#2").id == 2
     with pytest.raises(KeyError, match="2 objects have the label 'chair'; name one of: chair#5, "):
         scene.object("chair")
+
+
+def test_ids_do_not_depend_on_how_many_maps_are_drawn_at_a_time(monkeypatch: pytest.MonkeyPatch):
+    scene = imported_scene()
+    path = camera_path(scene, "orbit", 2)
+    whole = scene.render(path.cameras, 24, 32, ids=True).ids
+    monkeypatch.setattr("instok3d.scene.id_maps.COLUMNS", 3)
+    parts = scene.render(path.cameras, 24, 32, ids=True).ids
+    assert whole is not None
+    assert parts is not None
+    assert torch.equal(whole, parts)
+    assert set(whole.unique().tolist()) == {0, 2, 5, 7}

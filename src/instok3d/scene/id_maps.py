@@ -9,6 +9,10 @@ from torch import Tensor
 from instok3d.render import render
 from instok3d.types import Cameras, Gaussians
 
+COLUMNS = 512
+"""Maps that are composited at a time: those of an imported scene with thousands of groups could
+fill the memory."""
+
 
 @dataclass(frozen=True)
 class GroupMaps:
@@ -46,11 +50,22 @@ def group_maps(
         near: Gaussians nearer than this z-depth are not drawn, scene units.
         far: Nor are those farther than this.
     """
-    rendering = render(
-        gaussians, camera, height, width, anchor_features=assignment, near=near, far=far
-    )
-    assert rendering.features is not None
-    maps = rendering.features[0]
-    maps = torch.cat([maps[:-1], maps[-1:] + (1 - rendering.alphas)])
-    scores, groups = maps.max(dim=0)
-    return GroupMaps(groups, scores.clamp(0, 1))
+    winners = scores = None
+    for first in range(0, assignment.shape[1], COLUMNS):
+        columns = assignment[:, first : first + COLUMNS]
+        rendering = render(
+            gaussians, camera, height, width, anchor_features=columns, near=near, far=far
+        )
+        assert rendering.features is not None
+        maps = rendering.features[0]
+        if first + COLUMNS >= assignment.shape[1]:
+            maps = torch.cat([maps[:-1], maps[-1:] + (1 - rendering.alphas)])
+        best, groups = maps.max(dim=0)
+        if winners is None or scores is None:
+            winners, scores = groups, best
+        else:
+            winners = torch.where(best > scores, groups + first, winners)
+            scores = torch.maximum(best, scores)
+    assert winners is not None
+    assert scores is not None
+    return GroupMaps(winners, scores.clamp(0, 1))

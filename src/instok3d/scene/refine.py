@@ -65,6 +65,12 @@ def refine(
     settings = RefinementSettings(steps=steps, split_share=densify, seed=seed)
     if not scene.views:
         raise ValueError("this scene was imported and has no photos to be refined on")
+    if scene.edits:
+        warnings.warn(
+            "the scene was edited, and its photos show it as it was before: what was removed or "
+            "moved comes back in the colours of other Gaussians; refine it before you edit it",
+            stacklevel=2,
+        )
     height = scene.height if pixels is None else pixels
     width = max(1, round(scene.width * height / scene.height))
     check_picture_size(height, width)

@@ -14,7 +14,7 @@ from instok3d.scene.edits.editable import EditableScene
 from instok3d.scene.edits.folder import read_history, save_history
 from instok3d.scene.edits.ownership import drawn_rows, row_ids
 from instok3d.scene.files import load_record
-from instok3d.scene.id_maps import group_maps
+from instok3d.scene.id_maps import COLUMNS, group_maps
 from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.types import Cameras, Gaussians, Rendering
@@ -175,7 +175,7 @@ class Scene(EditableScene):
         """View by view: the maps of all groups in all views together could fill the memory."""
         num_columns = self.tokens.assignment.shape[1]
         refuse_beyond(
-            MAP_BYTES * num_columns * height * width,
+            MAP_BYTES * min(num_columns, COLUMNS) * height * width,
             what=f"object ids of pictures of {width} x {height}",
             device=gaussians.means.device,
             remedy=lambda limit: "give a smaller height or width, or leave the ids out",

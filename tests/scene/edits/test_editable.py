@@ -16,6 +16,7 @@ from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.render import render
 from instok3d.scene.edits.ownership import given_to, part_of
 from instok3d.scene.objects import extent_along
+from instok3d.scene.refine import refine
 from instok3d.scene.scene import Scene
 from instok3d.types import Cameras
 from made_scene import HEIGHT, WIDTH, made_empty_scene, made_scene, made_tokens
@@ -319,3 +320,14 @@ def test_what_cannot_be_done_is_said_in_a_sentence(sentence: str, scene: Scene):
     with pytest.raises((KeyError, ValueError), match=sentence) as caught:
         edit(scene)
     assert caught.type.__name__ == kind
+
+
+def test_refining_an_edited_scene_warns_and_keeps_names_and_provenance(scene: Scene):
+    edited = scene.rename(3, "ball").hide(1)
+    with pytest.warns(UserWarning, match="the scene was edited, and its photos show it as it was"):
+        refined = refine(edited, steps=1)
+    assert [item.key for item in refined.objects] == ["object#1", "ball#3"]
+    assert refined.object(1).hidden
+    assert refined.edits == edited.edits
+    with pytest.raises(ValueError, match="nothing to undo"):
+        refined.undo()

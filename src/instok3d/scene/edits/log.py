@@ -23,6 +23,7 @@ from instok3d.scene.edits.arguments import color, factor
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.operations import OPERATIONS, Edit
 from instok3d.scene.edits.ownership import Part
+from instok3d.scene.objects import check_label
 from instok3d.scene.record import SceneRecord
 from instok3d.types import Gaussians, check_gaussians
 
@@ -168,7 +169,7 @@ def _motion(value: Any) -> Similarity:
         raise ValueError(f"{value['quat_wxyz']} is no quaternion of unit length")
     # A turn or scaling about a far point is a long translation: carried() checks what comes out.
     x_by, y_by, z_by = (number(each) for each in value["translation"])
-    return Similarity((x_by, y_by, z_by), (w, x, y, z), factor(value["scale"], "scale"))
+    return Similarity((x_by, y_by, z_by), (w, x, y, z), factor(number(value["scale"]), "scale"))
 
 
 def _share(value: Any) -> float:
@@ -266,7 +267,7 @@ KINDS: dict[str, Kind] = {
     }),
     "color": _plain(lambda value: color([number(each) for each in value]), list),
     "text": _plain(text),
-    "label": _plain(lambda value: None if value is None else text(value)),
+    "label": _plain(lambda value: None if value is None else check_label(text(value))),
     "share": _plain(_share),
     "rows": Kind(_write_rows, _read_rows),
     "masks": Kind(_write_masks, _read_masks),

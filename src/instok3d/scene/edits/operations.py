@@ -248,7 +248,10 @@ class Rename:
 
     def apply(self, scene: SceneRecord) -> SceneRecord:
         item, label = object_of(scene, self.object), check_label(self.label)
-        return _exchanged(scene, replace(item, label=label, key=f"{label}#{item.id}"))
+        key = f"{label}#{item.id}"
+        if any(each.key == key and each.id != item.id for each in scene.objects):
+            raise ValueError(f"another object has the key {key!r} already: use another label")
+        return _exchanged(scene, replace(item, label=label, key=key))
 
     def words(self, scene: SceneRecord) -> str:
         return f"rename {_keys(scene, [self.object])}: {self.label}"
