@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from instok3d.geometry.cameras import invert_rigid, project, transform_points
-from instok3d.scene.paths import camera_path, look_at, orbit
+from instok3d.scene.paths import camera_path, look_at, orbit, through
 from instok3d.scene.scene import Scene
+from instok3d.types import Cameras
 
 
 def test_a_camera_looks_at_its_target_by_hand():
@@ -51,3 +52,26 @@ def test_a_file_of_cameras_of_impossible_pictures_is_refused(scene: Scene, tmp_p
         file.write_text(json.dumps(sized))
         with pytest.raises(ValueError, match=r"path\.json: camera 0"):
             camera_path(scene, str(file), 1)
+
+
+def test_a_flight_goes_from_input_to_input(scene: Scene):
+    turned = torch.eye(4).repeat(3, 1, 1)
+    angle_rad = torch.tensor([0.0, 0.4, 1.2])
+    turned[:, 0, 0] = turned[:, 2, 2] = angle_rad.cos()
+    turned[:, 0, 2], turned[:, 2, 0] = angle_rad.sin(), -angle_rad.sin()
+    turned[:, 0, 3] = torch.tensor([0.0, 1, 5])
+    inputs = Cameras(turned, scene.cameras.intrinsics[:1].expand(3, 3, 3))
+    flight = through(inputs, 9)
+    torch.testing.assert_close(flight.cam_from_world[::4], turned)
+    # A quarter of the flight is half of the way to the second: half of its angle, between centres.
+    between = flight.cam_from_world[2]
+    assert math.atan2(float(between[0, 2]), float(between[0, 0])) == pytest.approx(0.2, abs=1e-6)
+    centers = invert_rigid(turned)[:, :3, 3]
+    torch.testing.assert_close(invert_rigid(between)[:3, 3], centers[:2].mean(dim=0))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_a_flight_of_one_input_stands_still(scene: Scene, frames: int):
+    flight = through(scene.cameras.view(0), frames)
+    torch.testing.assert_close(flight.cam_from_world, torch.eye(4).expand(frames, 4, 4))
+    assert len(camera_path(scene, "through", frames).cameras.intrinsics) == frames

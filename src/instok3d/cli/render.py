@@ -36,8 +36,9 @@ def run(
         scene: A scene folder.
         output: A folder for one PNG a camera, a .png with all of them side by side, or an .mp4
             (needs the extra instok3d[video]).
-        path: "inputs", "orbit", or a cameras.json in the format of a scene folder.
-        frames: Pictures of an orbit, at least 1.
+        path: "inputs", "through" (a flight from input to input), "orbit", or a cameras.json in the
+            format of a scene folder.
+        frames: Pictures of an orbit or a flight, at least 1.
         fps: Pictures a second of a film, at least 1.
         height: Of the pictures, pixels. One side alone keeps the shape; both together show more on
             two sides where the shape is another one, and never stretch.

@@ -1,10 +1,12 @@
-"""Cameras to look at a scene from: its inputs, a sway around them, or those of a file."""
+"""Cameras to look at a scene from: its inputs, a flight through or a sway around them, a file's."""
 
 import math
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from instok3d.geometry.camera_json import read_intrinsics, read_pose
@@ -32,14 +34,14 @@ STEEPEST = 0.9
 def camera_path(
     scene: Scene, name: str, frames: int, height: int | None = None, width: int | None = None
 ) -> SizedCameras:
-    """The path of a name: "inputs", "orbit", or a file like a scene's cameras.json.
+    """The path of a name: "inputs", "through", "orbit", or a file like a scene's cameras.json.
 
     The pictures are never stretched to a size, see `resize_cameras`.
 
     Args:
         scene: What will be looked at.
         name: See above.
-        frames: Number of cameras of an orbit, at least 1.
+        frames: Number of cameras of an orbit or a flight, at least 1.
         height: Of the pictures; the scene's (or the file's) when both are None.
         width: Likewise.
 
@@ -50,18 +52,43 @@ def camera_path(
     """
     if not 1 <= frames <= MAX_FRAMES:
         raise ValueError(f"frames must lie in 1..{MAX_FRAMES}, got {frames}")
-    if name == "inputs":
+    if name in ("inputs", "through"):
         if not scene.views:
             raise ValueError(
                 'this scene was imported and has no input views: take the path "orbit" or a file '
                 "like cameras.json"
             )
-        own = SizedCameras(scene.cameras, scene.height, scene.width)
+        cameras = scene.cameras if name == "inputs" else through(scene.cameras, frames)
+        own = SizedCameras(cameras, scene.height, scene.width)
     elif name == "orbit":
         own = SizedCameras(orbit(scene, frames), scene.height, scene.width)
     else:
         own = read_camera_path(Path(name))
     return resize_cameras(own, height, width)
+
+
+def through(cameras: Cameras, frames: int) -> Cameras:
+    """A flight from camera to camera, in their order: as many frames between any two.
+
+    Centres and intrinsics go straight from one to the next, rotations the shortest way.
+
+    Args:
+        cameras: At least one; with one alone all frames are that.
+        frames: At least 1; the first and the last of two or more are the first and last camera.
+    """
+    count = len(cameras.intrinsics)
+    at = torch.linspace(0, count - 1, frames)
+    before = at.floor().long().clamp_max(max(0, count - 2))
+    after, share = (before + 1).clamp_max(count - 1), (at - before)[:, None, None]
+    world_from_cam = invert_rigid(cameras.cam_from_world.detach().cpu())
+    turns = Rotation.from_matrix(world_from_cam[:, :3, :3].double().numpy())
+    mixed = turns if count == 1 else Slerp(np.arange(count), turns)(at.double().numpy())
+    rotations = torch.from_numpy(mixed.as_matrix()).float().expand(frames, 3, 3)
+    centers = world_from_cam[:, :3, 3]
+    centers = centers[before] + share[:, 0] * (centers[after] - centers[before])
+    intrinsics = cameras.intrinsics.detach().cpu()
+    intrinsics = intrinsics[before] + share * (intrinsics[after] - intrinsics[before])
+    return Cameras(invert_rigid(rigid(rotations, centers)), intrinsics)
 
 
 def orbit(scene: Scene, frames: int) -> Cameras:
