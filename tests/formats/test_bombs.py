@@ -35,10 +35,10 @@ def spz_bomb(count: int) -> bytes:
     return gzip.compress(body + bytes(50_000_000), 1)
 
 
-def sog_bomb() -> bytes:
+def sog_bomb(method: int = zipfile.ZIP_DEFLATED, length: int = 100_000_000) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("meta.json", b" " * 100_000_000)
+    with zipfile.ZipFile(stream, "w", method, compresslevel=1) as archive:
+        archive.writestr("meta.json", b" " * length)
     return stream.getvalue()
 
 
@@ -78,6 +78,7 @@ def v4_bomb() -> bytes:
         ("zeros.spz", lambda: spz_bomb(800_000)),
         ("streams.spz", v4_bomb),
         ("meta.sog", sog_bomb),
+        ("method.sog", lambda: sog_bomb(zipfile.ZIP_LZMA, 100)),
         ("picture.sog", picture_bomb),
         ("sections.ksplat", lambda: ksplat_bomb(2**32 - 1, 1)),
         ("count.ksplat", lambda: ksplat_bomb(1, 2**32 - 1)),

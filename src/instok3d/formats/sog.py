@@ -22,6 +22,8 @@ from instok3d.scene.scene import Scene
 
 VERSION = 2
 MAX_ENTRIES = 32
+PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Other methods take memory by what the file says."""
 LARGEST_PART = 0xFC
 """The fourth byte of a quaternion, less the place of its largest component in w, x, y, z."""
 PALETTE_WIDTH = 64
@@ -72,6 +74,8 @@ def read_sog(path: Path) -> Splats:
         entries = archive.infolist()
         if len(entries) > MAX_ENTRIES:
             raise ValueError(f"it has {len(entries)} parts")
+        if any(entry.compress_type not in PLAIN for entry in entries):
+            raise ValueError("its parts are packed by another method than stored or deflated")
         check_growth(path, sum(entry.file_size for entry in entries))
         about = parse_json(archive.read("meta.json"), path, REMEDY)
         version = about.get("version", VERSION if "count" in about else None)
