@@ -426,3 +426,20 @@ def test_distortion_at_the_corner_by_hand():
     intrinsics = torch.tensor([[100.0, 0, 100], [0, 100, 100], [0, 0, 1]]).double()
     lens = PhotoCamera("a", 200, 200, intrinsics, torch.eye(4).double(), Distortion(0.01))
     assert lens.distortion_shift == pytest.approx(0.01)
+
+
+LONG = ["x" * 5000, [1] * 5000, {"x" * 5000: 1}, [["x" * 5000]]]
+
+
+@pytest.mark.parametrize("value", LONG)
+@pytest.mark.parametrize(
+    "key", ["file_path", "transform_matrix", "w", "fl_x", "cx", "k1", "camera_model", "frames"]
+)
+def test_a_long_value_does_not_fill_the_message(tmp_path, key, value):
+    frame = {"file_path": "images/a.jpg", "transform_matrix": IDENTITY}
+    data = transforms(frames=[frame])
+    (frame if key in frame else data)[key] = value
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"transforms\.json") as error:
+        read_cameras(tmp_path / "transforms.json")
+    assert len(str(error.value)) < 600

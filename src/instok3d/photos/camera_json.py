@@ -2,6 +2,7 @@
 
 import json
 import math
+import reprlib
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ OTHER_LENS_TERMS = (
 )
 """Refused where they are not 0: programs disagree on what they mean (k4 is a polynomial term in
 nerfstudio and a denominator in OpenCV), or they make the camera no pinhole."""
+MAX_NAME = 1000
+"""Characters of the name of a photo or depth picture; it stands in messages."""
 _OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
@@ -120,7 +123,9 @@ def _check_lens(frame: dict[str, Any], path: Path) -> None:
     for key in ("camera_model", "camera_type"):
         model = str(frame.get(key) or "PINHOLE")
         if model.upper() not in LENS_MODELS:
-            raise ValueError(f"{path} uses the lens model {model}; undistort the photos to PINHOLE")
+            raise ValueError(
+                f"{path} uses the lens model {model[:60]}; undistort the photos to PINHOLE"
+            )
     for key in OTHER_LENS_TERMS:
         if not _is_nothing(frame.get(key)):
             raise ValueError(
@@ -148,8 +153,8 @@ def _depth_path(frame: dict[str, Any], key: str, path: Path, files: NamedFiles) 
 
 def _name(frame: dict[str, Any], key: str, source: Path) -> str:
     name = frame[key]
-    if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise ValueError(f"{source}: {key} must be the name of a file, got {name!r}")
+    if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > MAX_NAME:
+        raise ValueError(f"{source}: {key} must be the name of a file, got {reprlib.repr(name)}")
     return name
 
 
@@ -158,7 +163,7 @@ def _number(data: dict[str, Any], key: str, source: Path, default: float | None 
     if value is None and default is not None:
         return default
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{source}: {key} must be a number, got {value!r}")
+        raise ValueError(f"{source}: {key} must be a number, got {reprlib.repr(value)}")
     if not math.isfinite(value):
         raise ValueError(f"{source}: {key} must be finite, got {value}")
     return float(value)
