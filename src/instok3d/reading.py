@@ -158,6 +158,14 @@ def parse_npy(data: bytes, what: object, remedy: str) -> np.ndarray:
         return values.reshape(shape, order="F" if by_columns else "C")
 
 
+def open_png(path: Path) -> Image.Image:
+    """The picture of a PNG file, not yet decoded.
+
+    From memory: of a file Pillow would first allocate whatever size a damaged chunk promises.
+    """
+    return Image.open(io.BytesIO(path.read_bytes()), formats=["PNG"])
+
+
 def whole_number(value: Any, least: int = 0, most: int = 2**63 - 1) -> int:
     """A value of JSON that is a whole number within bounds.
 

@@ -11,7 +11,7 @@ from PIL import Image
 from instok3d.datasets.prepared import PreparedScenes, read_index, read_scene
 from instok3d.datasets.prepared.format import can_name_a_scene
 from instok3d.datasets.prepared.masks import read_masks_record
-from mutations import of_bytes, of_json, survive
+from mutations import limits, of_bytes, of_json, survive
 from prepared_scenes import made_folder
 
 LAYERS = ("images", "depths", "instances")
@@ -97,6 +97,16 @@ def test_a_picture_that_would_fill_the_memory_is_refused_by_its_header(folder: P
     Image.fromarray(np.zeros((8000, 10_000), np.uint8)).save(folder / "a/images/000001.png")
     with pytest.raises(ValueError, match=r"000001\.png has the size \(10000, 8000\), its"):
         PreparedScenes(folder).frames(0, [1])
+
+
+def test_a_chunk_that_promises_four_gigabytes_takes_no_memory(folder: Path):
+    file = folder / "a" / "images" / "000001.png"
+    data = bytearray(file.read_bytes())
+    at = data.index(b"IDAT") - 4
+    data[at : at + 4] = (2**32 - 1).to_bytes(4, "big")
+    file.write_bytes(data)
+    with limits():  # all of it is there
+        assert PreparedScenes(folder).frames(0, [1]).images.shape == (1, 6, 8, 3)
 
 
 def test_names_of_scenes_are_those_of_folders():

@@ -5,7 +5,7 @@ from PIL import Image
 
 from instok3d.photos.depth_files import depth_at_model_pixels, read_depth
 from instok3d.photos.pixel_map import fit_pixels
-from mutations import of_bytes, survive
+from mutations import limits, of_bytes, survive
 
 TRANSPOSE = {1: None, 3: Image.Transpose.ROTATE_180, 6: Image.Transpose.ROTATE_270,
              8: Image.Transpose.ROTATE_90}  # fmt: skip
@@ -90,7 +90,7 @@ def test_bad_depth_files_are_named(tmp_path):
     noise = np.random.default_rng(0).integers(0, 9999, (64, 64)).astype(np.uint16)
     Image.fromarray(noise).save(tmp_path / "cut.png")
     (tmp_path / "cut.png").write_bytes((tmp_path / "cut.png").read_bytes()[:2000])
-    with pytest.raises(ValueError, match=r"cut\.png is damaged or cut off"):
+    with pytest.raises(ValueError, match=r"cut\.png is damaged"):
         read_depth(tmp_path / "cut.png", scale=1.0)
 
 
@@ -172,3 +172,31 @@ def test_an_array_too_large_is_refused_before_it_is_read(tmp_path):
         stream.truncate(2**40)  # takes no place on the disk
     with pytest.raises(ValueError, match=r"d\.npy has 1099511627776 bytes, more than 64 megapix"):
         read_depth(path, scale=1.0)
+
+
+@pytest.mark.parametrize("ending", ["png", "tiff", "pgm", "npy"])
+def test_any_damage_of_a_depth_picture_is_refused_or_read(tmp_path, ending):
+    file = tmp_path / f"depth.{ending}"
+    values = np.random.default_rng(0).integers(500, 6000, (6, 8)).astype(np.uint16)
+    if ending == "npy":
+        np.save(file, values)
+    else:
+        Image.fromarray(values.astype(np.float32) if ending == "tiff" else values).save(file)
+
+    def read() -> None:
+        depth = read_depth(file, scale=1000.0)
+        assert depth.isfinite().all()
+        assert (depth >= 0).all()
+
+    assert survive(file, read, of_bytes, 600)
+
+
+def test_a_png_whose_chunk_promises_four_gigabytes_takes_no_memory(tmp_path):
+    file = tmp_path / "depth.png"
+    Image.fromarray(np.full((6, 8), 1000, np.uint16)).save(file)
+    data = bytearray(file.read_bytes())
+    at = data.index(b"IDAT") - 4
+    data[at : at + 4] = (2**32 - 1).to_bytes(4, "big")
+    file.write_bytes(data)
+    with limits():
+        assert torch.equal(read_depth(file, scale=1000.0), torch.ones(6, 8))  # all of it is there

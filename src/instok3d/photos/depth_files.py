@@ -1,5 +1,6 @@
 """Depth pictures of sensors: read into scene units, brought to the model's pixels by nearest."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from instok3d.geometry.checks import MAX_DISTANCE
 from instok3d.photos.camera_fit import same_shape
 from instok3d.photos.cameras import PhotoCamera
 from instok3d.photos.pixel_map import PixelMap, upright_from_stored
-from instok3d.reading import parse_npy
+from instok3d.reading import naming_damage, parse_npy
 
 MAX_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded."""
@@ -37,15 +38,9 @@ def read_depth(
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no depth file {path}")
-    try:
+    with naming_damage(path, "export it again"):
         is_array = path.suffix.lower() == ".npy"
         values = _read_array(path, max_pixels) if is_array else _read_picture(path, max_pixels)
-    except UnidentifiedImageError as error:
-        raise ValueError(f"{path} is not a depth picture in a known format") from error
-    except Image.DecompressionBombError as error:
-        raise ValueError(f"{path} is too large to decode ({error})") from error
-    except (OSError, SyntaxError, EOFError) as error:
-        raise ValueError(f"{path} is damaged or cut off ({error})") from error
     if values.ndim != 2 or values.dtype.kind not in "uif":
         raise ValueError(
             f"{path} holds {values.dtype} of shape {values.shape}, wanted one number a pixel"
@@ -139,21 +134,34 @@ def _check_pixels(path: Path, height: int, width: int, max_pixels: int) -> None:
         )
 
 
-def _read_array(path: Path, max_pixels: int) -> np.ndarray:
+def _read_bytes(path: Path, max_pixels: int) -> bytes:
     size, most = path.stat().st_size, 2**16 + 16 * max_pixels  # a header, the widest numbers
     if size > most:
         raise ValueError(f"{path} has {size} bytes, more than {max_pixels / 1e6:g} megapixels take")
+    return path.read_bytes()
+
+
+def _read_array(path: Path, max_pixels: int) -> np.ndarray:
     try:
-        return parse_npy(path.read_bytes(), "it", "save it again with numpy.save")
+        return parse_npy(_read_bytes(path, max_pixels), "it", "save it again with numpy.save")
     except ValueError as error:
+        if str(error).startswith(str(path)):
+            raise
         raise ValueError(f"{path} is not a .npy array of numbers: {error}") from error
 
 
 def _read_picture(path: Path, max_pixels: int) -> np.ndarray:
-    with Image.open(path, formats=["PNG", "PPM", "TIFF"]) as image:
-        _check_pixels(path, image.height, image.width, max_pixels)
-        if not (image.mode.startswith("I") or image.mode == "F"):
-            raise ValueError(
-                f"{path} has {image.mode} pixels, wanted one 16-bit or float number a pixel"
-            )
-        return np.asarray(image)
+    # From memory: of a file Pillow would first allocate whatever size a damaged chunk promises.
+    data = io.BytesIO(_read_bytes(path, max_pixels))
+    try:
+        image = Image.open(data, formats=["PNG", "PPM", "TIFF"])
+    except UnidentifiedImageError as error:
+        raise ValueError(f"{path} is not a depth picture in a known format") from error
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"{path} is too large to decode ({error})") from error
+    _check_pixels(path, image.height, image.width, max_pixels)
+    if not (image.mode.startswith("I") or image.mode == "F"):
+        raise ValueError(
+            f"{path} has {image.mode} pixels, wanted one 16-bit or float number a pixel"
+        )
+    return np.asarray(image)

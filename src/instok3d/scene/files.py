@@ -34,7 +34,7 @@ from instok3d.geometry.cameras import invert_rigid
 from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.pictures import save_png
-from instok3d.reading import naming_damage, number, one_of, read_json, text, whole_number
+from instok3d.reading import naming_damage, number, one_of, open_png, read_json, text, whole_number
 from instok3d.scene.object_list import read_entries, read_objects
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import (
@@ -416,12 +416,12 @@ def _read_photos(
     for file in files:
         if not file.is_file():
             raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
-        with naming_damage(file, REMEDY), Image.open(file, formats=["PNG"]) as picture:
+        with naming_damage(file, REMEDY), open_png(file) as picture:
             if picture.size != (width, height):
                 raise ValueError(f"{file}: size {picture.size}, wanted {(width, height)}")
     photos = torch.empty(count, height, width, 3, dtype=torch.uint8)
     for index, file in enumerate(files):
-        with naming_damage(file, REMEDY), Image.open(file, formats=["PNG"]) as picture:
+        with naming_damage(file, REMEDY), open_png(file) as picture:
             photos[index] = torch.from_numpy(np.array(picture.convert("RGB")))
     return photos
 

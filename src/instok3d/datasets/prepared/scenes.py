@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Int
-from PIL import Image
 from torch import Tensor
 
 from instok3d.data.scenes import SceneFrames
 from instok3d.datasets.prepared.format import SceneRecord, Split, read_scene
 from instok3d.datasets.prepared.index import read_index
 from instok3d.datasets.prepared.masks import MADE_BY, read_masks_record
-from instok3d.reading import naming_damage
+from instok3d.reading import naming_damage, open_png
 
 _SIXTEEN_BITS = ("I;16", "I")
 """Modes of grey PNG of 16 bits, in newer and older versions of Pillow."""
@@ -165,7 +164,7 @@ def _read_png(folder: Path, layer: str, number: int, shape: tuple[int, ...]) -> 
     remedy = f"`instok3d data verify {folder.parent}` finds all that is"
     if not path.is_file():
         raise ValueError(f"{path} is missing; {remedy}")
-    with naming_damage(path, remedy), Image.open(path, formats=["PNG"]) as image:
+    with naming_damage(path, remedy), open_png(path) as image:
         if image.size != (shape[1], shape[0]):  # seen before anything large is decoded
             raise ValueError(f"{path} has the size {image.size}, its scene says {shape}")
         modes = ("RGB",) if len(shape) == 3 else _SIXTEEN_BITS
