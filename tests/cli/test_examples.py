@@ -40,6 +40,15 @@ def test_render_and_export(
     assert "object#3: 8 Gaussians" in capsys.readouterr().out
 
 
+def test_edit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    made_scene(made_tokens()).save(tmp_path / "room.itk")
+    run(monkeypatch, "03_edit.py", tmp_path / "room.itk", tmp_path / "edited.itk")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "remove object#3"
+    assert lines[1].startswith("move object#1 by (0.1, ")
+    assert len(lines) == 2
+
+
 @pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
 def test_without_arguments_they_make_the_scene_of_the_demo_once_and_say_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
