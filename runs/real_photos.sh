@@ -1,8 +1,12 @@
 #!/usr/bin/env bash
-# The default model trained on, for photos of real cameras: from the shipped weights, on rooms whose
-# photos go through a random camera (docs/training.md), with a focus on many views.
+# The default model trained on, for photos of real cameras: from the shipped weights, on rooms of all
+# levels and as many of level real, whose photos go through a random camera (docs/training.md), with a
+# focus on many views.
 #
-#     bash runs/real_photos.sh FOLDER [--dry-run | --small]
+#     [FURNITURE=DIR] [TEXTURES=DIR] bash runs/real_photos.sh FOLDER [--dry-run | --small]
+#
+# FURNITURE and TEXTURES are catalogues for the rooms of level real (docs/data.md); without them those
+# rooms are furnished by this code alone.
 #
 # Everything goes into FOLDER, the model into FOLDER/real_photos.safetensors, the figures into
 # FOLDER/*.md. Stop it at any time and run it again: finished rooms and figures are kept and training
@@ -15,14 +19,15 @@ folder=${1:?"give the folder for rooms, runs and the model"}
 mode=${2:-}
 here=$(dirname "$0")
 shipped=$here/../src/instok3d/assets/default_model.safetensors
-train_seeds=0:4000 test_seeds=2000000:2000100 workers=2 seed=21
+train_seeds=0:1600 real_seeds=10000:13200 test_seeds=2000000:2000100 workers=2 seed=21
+catalogues=(${FURNITURE:+--furniture "$FURNITURE"} ${TEXTURES:+--textures "$TEXTURES"})
 geometry_steps=8000 refinement_steps=1500 tokenizer_steps=9000
 settings=() scenes=20
-notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds), their photos through a random camera. Apache-2.0."
+notes="Trained on rendered rooms alone (generator version 1, seeds $train_seeds; level real, seeds $real_seeds), their photos through a random camera. Apache-2.0."
 case $mode in
     "") ;;
     --small)
-        train_seeds=0:8 test_seeds=2000000:2000002 scenes=1
+        train_seeds=0:8 real_seeds=10000:10008 test_seeds=2000000:2000002 scenes=1
         geometry_steps=2 refinement_steps=2 tokenizer_steps=2
         settings=(--holdout 2 --batches.batch-size 2)
         ;;
@@ -39,13 +44,15 @@ train() {
     local preset=$1 run=$folder/$2 first=$3
     shift 3
     # shellcheck disable=SC2046  # no word on purpose where there is nothing to resume
-    instok3d train "$preset" --data "$folder/rooms" -o "$run" --init-from "$first" --seed "$seed" \
+    instok3d train "$preset" --data "$folder/rooms" "$folder/rooms-real" -o "$run" --init-from "$first" --seed "$seed" \
         --batches.sensor.strength 1 "$@" ${settings[@]+"${settings[@]}"} $(resume_of "$run")
 }
 
 if [ "$mode" != --dry-run ]; then
     mkdir -p "$folder"
     instok3d data rooms -o "$folder/rooms" --seeds "$train_seeds" --workers "$workers"
+    instok3d data rooms -o "$folder/rooms-real" --seeds "$real_seeds" --workers "$workers" \
+        --level real ${catalogues[@]+"${catalogues[@]}"}
     instok3d data rooms -o "$folder/rooms-test" --seeds "$test_seeds" --workers "$workers"
 fi
 

@@ -93,10 +93,14 @@ def test_training_for_real_photos_runs_commands_that_exist_in_order(
     commands.remove(joined)
     stages = [words[:2] for words in commands]
     training = ["nano-geometry", "nano-refinement", "nano-tokenizer", "export"]
-    assert stages[:6] == [["data", "rooms"]] * 2 + [["train", name] for name in training]
-    assert all(words[0] == "evaluate" for words in commands[6:])
-    for words in commands[2:5]:
+    assert stages[:7] == [["data", "rooms"]] * 3 + [["train", name] for name in training]
+    assert all(words[0] == "evaluate" for words in commands[7:])
+    assert ["real" in words for words in commands[:3]] == [False, True, False]
+    made = [words[words.index("-o") + 1] for words in commands[:2]]
+    for words in commands[3:6]:
         assert words[words.index("--batches.sensor.strength") + 1] == "1"
+        data = words.index("--data")
+        assert words[data + 1 : data + 3] == made
     rows = [words for words in commands if "--refine" in words]
     assert sum("--disturb" in words for words in rows) == 2 * len(DISTURBANCES)
     assert len(rows) == 2 * len(DISTURBANCES) + 2
@@ -116,6 +120,17 @@ def test_training_for_real_photos_goes_on_and_keeps_what_is_done(tmp_path: Path)
     assert not any("export" in words or words[0].endswith("weights.py") for words in commands)
     hard = [words for words in commands if "hard" in words]
     assert [words[words.index("--refine") + 1] for words in hard] == ["100"]
+
+
+def test_catalogues_are_for_the_rooms_of_level_real(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("FURNITURE", "my models")
+    monkeypatch.setenv("TEXTURES", "my textures")
+    plain, real, tests = recorded(tmp_path, "real_photos.sh")[:3]
+    assert "--furniture" not in plain + tests
+    assert real[real.index("--furniture") + 1] == "my models"
+    assert real[real.index("--textures") + 1] == "my textures"
 
 
 def test_the_plan_of_the_training_for_real_photos_writes_nothing(tmp_path: Path):
