@@ -1,7 +1,7 @@
 """Pictures that show at a glance what is in a scene."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +73,7 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
     (folder / "objects").mkdir(parents=True, exist_ok=True)
     for item, tile in zip(scene.objects, tiles, strict=True):
         save_png(Image.fromarray(tile), folder / "objects" / f"{item.id:03d}.png")
-    save_png(_scene_sheet(scene, tiles), folder / "contact_sheet.png")
+    save_png(scene_sheet(scene, scene.objects, tiles), folder / "contact_sheet.png")
 
 
 def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height width 3"]:
@@ -90,7 +90,10 @@ def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height
 
 
 @torch.no_grad()
-def _scene_sheet(scene: Scene, tiles: list[np.ndarray]) -> Image.Image:
+def scene_sheet(
+    scene: Scene, objects: Sequence[SceneObject], tiles: Sequence[np.ndarray]
+) -> Image.Image:
+    """Photos, renders, ids, and a tile for each of some objects (`object_picture`) on one sheet."""
     cameras = scene.cameras if scene.views else orbit(scene, AROUND)
     pictures = scene.render(cameras, scene.height, scene.width, ids=True)
     assert pictures.ids is not None
@@ -99,7 +102,7 @@ def _scene_sheet(scene: Scene, tiles: list[np.ndarray]) -> Image.Image:
     mixed = (0.35 * behind + 0.65 * id_picture(pictures.ids)).astype(np.uint8)
     names = [view.file for view in scene.views] or ["around"] * AROUND
     numbers = [f"{index} {name}" for index, name in enumerate(names)]
-    keys = [f"{item.key} {item.num_gaussians}" for item in scene.objects]
+    keys = [f"{item.key} {item.num_gaussians}" for item in objects]
     sections = [
         Section("photos", list(photos), numbers),
         Section(
@@ -107,7 +110,7 @@ def _scene_sheet(scene: Scene, tiles: list[np.ndarray]) -> Image.Image:
             list(color_picture(pictures.colors)), numbers,
         ),
         Section(f"{len(scene.objects)} objects", list(mixed), numbers),
-        Section("each object alone, with its number of Gaussians", tiles, keys),
+        Section("each object alone, with its number of Gaussians", list(tiles), keys),
     ]  # fmt: skip
     shown = [section for section in sections if section.cells or scene.views]
     return contact_sheet(shown, cell_height=CELL)

@@ -41,6 +41,12 @@ class Scene(EditableScene):
     objects and belongs to none of them.
     """
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the contact sheet; see `scene.notebook`."""
+        from instok3d.scene.notebook import scene_html  # it draws scenes, so it imports this file
+
+        return scene_html(self)
+
     def object(self, which: int | str) -> SceneObject:
         """The object of an id, a key such as "object#3", or a label.
 
