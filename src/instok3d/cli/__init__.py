@@ -19,6 +19,7 @@ COMMANDS = {
     "reconstruct": "photos in, a scene of objects out",
     "refine": "a scene made sharper on its photos",
     "info": "what is in a scene",
+    "objects": "the objects of a scene as data",
     "edit": "objects removed, moved, inserted, merged; undo and redo",
     "render": "pictures or a film of a scene",
     "export": "a scene as files that other programs open",

@@ -1,0 +1,35 @@
+"""`instok3d objects`: the objects of a scene as data."""
+
+from pathlib import Path
+
+import tyro
+
+
+def run(
+    scene: tyro.conf.Positional[Path],
+    /,
+    json: bool = False,
+    csv: bool = False,
+    scale: str = "none",
+) -> None:
+    """Print the objects of a scene: names, boxes, sizes, and the views that show them.
+
+    Args:
+        scene: A scene folder.
+        json: Print one JSON object with masks, by the schema assets/objects.schema.json.
+        csv: Print a table; this is also what is printed when nothing is said.
+        scale: known:OBJECT=HEIGHT gives lengths in metres by one known height in metres, such as
+            known:3=0.74. Scenes with cameras in metres need none.
+    """
+    from instok3d.cli.info import print_json
+    from instok3d.formats.objects import find_scale, objects_csv, objects_data
+    from instok3d.scene.scene import Scene
+
+    if json and csv:
+        raise ValueError("--json and --csv are two ways to print the same: give one of them")
+    loaded = Scene.load(scene)
+    found = find_scale(loaded, scale)
+    if json:
+        print_json(objects_data(loaded, found))
+    else:
+        print(objects_csv(loaded, found), end="")

@@ -1,0 +1,121 @@
+import csv
+import io
+import json
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+import torch
+
+from instok3d.cli import main
+from instok3d.formats.objects import SCHEMA, find_scale, height_of, objects_csv, objects_data
+from instok3d.scene.scene import Scene
+from instok3d.scene.vertical import Vertical
+from made_scene import made_empty_scene, made_scene, made_tokens
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return made_scene(made_tokens())
+
+
+def check(data: dict) -> None:
+    schema = json.loads((files("instok3d") / "assets" / SCHEMA).read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.Draft202012Validator(schema).validate(data)
+
+
+def filled(mask: dict) -> np.ndarray:
+    height, width = mask["size"]
+    inside = np.arange(len(mask["counts"])) % 2 == 1
+    return np.repeat(inside, mask["counts"]).reshape(width, height).T
+
+
+def test_the_data_follow_the_schema_and_the_scene(scene: Scene):
+    data = objects_data(scene.rename(3, "blue blob"))
+    check(data)
+    assert [item["id"] for item in data["objects"]] == [1, 3]
+    assert (data["units"], data["metres_per_scene_unit"], data["edits"]) == ("arbitrary", None, 1)
+    blue = data["objects"][1]
+    assert (blue["label"], blue["label_source"], blue["key"]) == (
+        "blue blob", "given", "blue blob#3",
+    )  # fmt: skip
+    ids = scene.render(ids=True).ids
+    assert ids is not None
+    for item in data["objects"]:
+        assert [each["view"] for each in item["seen"]] == list(scene.object(item["id"]).visible_in)
+        for each in item["seen"]:
+            mask = (ids[each["view"]] == item["id"]).numpy()
+            assert (filled(each["mask"]) == mask).all()
+            assert each["pixels"] == mask.sum()
+            x0, y0, x1, y1 = each["box"]
+            assert mask[y0:y1, x0:x1].sum() == mask.sum()
+
+
+def test_no_objects_and_no_views_are_data_too(scene: Scene):
+    check(objects_data(made_empty_scene()))
+    assert objects_csv(made_empty_scene()).count("\n") == 1
+    bare = replace(scene, views=(), photos=scene.photos[:0], cameras=scene.cameras.views([]))
+    data = objects_data(bare)
+    check(data)
+    assert [item["seen"] for item in data["objects"]] == [[], []]
+
+
+def test_a_known_height_makes_metres_of_all_lengths(scene: Scene):
+    before, height = objects_data(scene), height_of(scene, scene.object(1))
+    scale = find_scale(scene, "known:1=0.74")
+    assert scale.metres_per_unit == pytest.approx(0.74 / height)
+    after = objects_data(scene, scale)
+    check(after)
+    assert after["units"] == "metres"
+    assert after["scale_source"] == "known: object#1 is 0.74 m high"
+    assert after["objects"][0]["height"] == pytest.approx(0.74)
+    for key in ("centroid", "height"):
+        ratio = np.array(after["objects"][1][key]) / np.array(before["objects"][1][key])
+        assert np.allclose(ratio, scale.metres_per_unit)
+
+
+def test_height_is_along_up_by_hand(scene: Scene):
+    box = replace(scene.object(1).obb, size=(3.0, 2.0, 1.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
+    item = replace(scene.object(1), obb=box)
+    for axis, height in enumerate((3.0, 2.0, 1.0)):
+        x, y, z = torch.eye(3)[axis].tolist()
+        turned = replace(scene, vertical=Vertical((x, y, z), "given cameras", 1.0))
+        assert height_of(turned, item) == pytest.approx(height)
+
+
+@pytest.mark.parametrize(
+    "wanted", ["known:1", "known:1=tall", "known:1=0", "known:1=-1", "known:1=nan", "known:1=1e9",
+               "known:=1", "door", ""],
+)  # fmt: skip
+def test_what_is_no_scale_is_refused(scene: Scene, wanted: str):
+    with pytest.raises(ValueError, match="none of: none, known:OBJECT=HEIGHT"):
+        find_scale(scene, wanted)
+
+
+def test_a_scale_needs_an_object_and_no_metres(scene: Scene):
+    with pytest.raises(KeyError, match="no object 7"):
+        find_scale(scene, "known:7=1")
+    metric = replace(scene, units="metres")
+    assert find_scale(metric).metres_per_unit == 1
+    with pytest.raises(ValueError, match="in metres already"):
+        find_scale(metric, "known:1=1")
+
+
+def test_the_command_prints_a_table_or_json(
+    tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+):
+    room = tmp_path / "room.itk"
+    scene.save(room)
+    assert main(["objects", str(room)]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [row["key"] for row in rows] == ["object#1", "object#3"]
+    assert main(["objects", str(room), "--json", "--scale", "known:object#1=2"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    check(data)
+    assert data["units"] == "metres"
+    assert main(["objects", str(room), "--json", "--csv"]) == 2
+    assert "give one of them" in capsys.readouterr().err
