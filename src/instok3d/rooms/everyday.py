@@ -5,6 +5,7 @@ import numpy as np
 from instok3d.rooms.colors import Number
 from instok3d.rooms.furnishing import Weights, put_on_top
 from instok3d.rooms.levels import Level
+from instok3d.rooms.materials import Maker
 from instok3d.rooms.objects import Furniture
 from instok3d.rooms.pieces import Pieces
 from instok3d.rooms.plan import Box, Placed, Plan, Wall
@@ -58,15 +59,16 @@ class EverydayThings:
         level: Level,
         room_type: str,
         pieces: Pieces,
+        wiring: Maker,
     ):
         self.plan, self.level, self.room_type = plan, level, room_type
-        self.streams, self._make = streams, pieces.make
+        self.streams, self._make, self._wiring = streams, pieces.make, wiring
 
     def build(self) -> None:
         """Sockets and cables, then things on walls, on the floor, and on furniture."""
         sockets = int(self.streams.child("sockets").integers(*self.level.sockets))
         if sockets:
-            wire(self.plan, self.maker("wiring"), sockets)
+            wire(self.plan, self._wiring, sockets)
         self._on_walls(self.streams.child("things on walls"))
         self._on_floor(self.streams.child("things on the floor"))
         self._on_furniture(self.streams.child("things on furniture"))

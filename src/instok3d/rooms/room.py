@@ -73,5 +73,5 @@ def build_room(seed: int, level: str = "mix", catalogues: Catalogues = NO_CATALO
     models = catalogues.furniture
     objects, things = (Pieces(kind, maker, streams, models) for kind in ("object", "thing"))
     Furnisher(plan, streams, chosen, room_type, objects, held_out).build()
-    EverydayThings(plan, streams, chosen, room_type, things).build()
+    EverydayThings(plan, streams, chosen, room_type, things, maker("wiring")).build()
     return Room(seed, chosen, room_type, plan, build_mesh(plan.placed))
