@@ -32,7 +32,7 @@ def test_edits_grow_the_log_and_are_undone_and_redone(room: Path, capsys):
         certify = ["--certify"] * (number % 4 == 2)
         assert main(["edit", str(room), *shlex.split(line), *certify]) == 0, line
         out = capsys.readouterr().out
-        assert f"{number} edits" in out
+        assert f"\n{number} edit{'s' * (number > 1)}, " in f"\n{out}"
         assert ("outside of what was edited: 0" in out) == bool(certify)
     edited = instok3d.load(room)
     assert [item.id for item in edited.objects] == [1, 6]

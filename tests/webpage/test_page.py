@@ -125,7 +125,7 @@ def test_a_click_selects_and_the_list_hides_and_shows(page: Any, scene: Scene):
     without = drawn(page)
     assert psnr(without, expected(scene, scene.gaussians.rows(others))) > 45
     commands = page.evaluate("() => window.instok3d.commands()")
-    assert commands == ["instok3d edit room hide object#1"]
+    assert commands == ["instok3d edit SCENE hide object#1"]
     page.get_by_label("show object#1").click()
     assert (drawn(page) == whole).all()
 
@@ -139,7 +139,7 @@ def test_what_is_moved_is_drawn_there_and_said_as_a_command(page: Any, scene: Sc
     means[start : start + count] += torch.tensor([0.25, -0.125, 0.5])
     assert psnr(drawn(page), expected(scene, replace(scene.gaussians, means=means))) > 45
     commands = page.evaluate("() => window.instok3d.commands()")
-    assert commands == ["instok3d edit room move object#1 --by 0.25 -0.125 0.5"]
+    assert commands == ["instok3d edit SCENE move object#1 --by 0.25 -0.125 0.5"]
     page.evaluate("() => window.instok3d.putBack()")
     assert psnr(drawn(page), expected(scene, scene.gaussians)) > 45
 

@@ -230,7 +230,8 @@ def report(
     done = len(after.edits) - len(before.edits)
     for words in after.edits[len(before.edits) :] if done > 0 else ():
         print(words)
-    print(f"{len(after.edits)} edits, {len(after.objects)} objects; written to {path}")
+    edits = f"{len(after.edits)} edit{'s' if len(after.edits) != 1 else ''}"
+    print(f"{edits}, {len(after.objects)} objects; written to {path}")
     if difference is not None:
         share = difference["pixels_outside"] / max(1, difference["pixels"])
         print(

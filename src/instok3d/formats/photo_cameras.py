@@ -1,30 +1,18 @@
 """Cameras of a scene's photos at their own size, under names that are all different."""
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from instok3d.geometry.spherical_harmonics import SH_CONSTANT
+from instok3d.photos.cameras import PhotoCamera
 from instok3d.scene.scene import Scene
 
 
-@dataclass(frozen=True)
-class PhotoCamera:
-    """The pinhole camera of one upright photo."""
-
-    name: str
-    """The photo's file name; of several with one name the later ones get a number in front."""
-    height: int
-    width: int
-    intrinsics: Float[Tensor, "3 3"]
-    cam_from_world: Float[Tensor, "4 4"]
-
-
 def photo_cameras(scene: Scene) -> tuple[PhotoCamera, ...]:
-    """The cameras of all photos in the scene's world, in float64.
+    """The pinhole cameras of all photos in the scene's world, in float64.
 
+    A name is the photo's file name; of several with one name the later ones get a number in front.
     Of a photo whose file is stored turned (EXIF), they are those of the photo set upright.
     """
     cameras, taken = [], set()

@@ -110,16 +110,16 @@ class Page {
     this.redraw();
   }
 
-  /** What was done here, for `instok3d edit`, which does it to the scene itself. */
+  /** What was done here, for `instok3d edit`, which does it to the scene folder (SCENE) itself. */
   commands() {
-    const { objects, name } = this.scene.about, lines = [];
+    const { objects } = this.scene.about, lines = [];
     const word = (text) => (/^[\w#.-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
     objects.forEach((object, k) => {
       const offset = this.state.offsets[k + 1].map((value) => Number(value.toPrecision(4)));
       if (offset.some((value) => value)) {
-        lines.push(`instok3d edit ${word(name)} move ${word(object.key)} --by ${offset.join(" ")}`);
+        lines.push(`instok3d edit SCENE move ${word(object.key)} --by ${offset.join(" ")}`);
       }
-      if (this.state.hidden[k + 1]) lines.push(`instok3d edit ${word(name)} hide ${word(object.key)}`);
+      if (this.state.hidden[k + 1]) lines.push(`instok3d edit SCENE hide ${word(object.key)}`);
     });
     return lines;
   }

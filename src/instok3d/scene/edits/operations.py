@@ -2,7 +2,7 @@
 """The operations that an edit log can hold: what each does to a scene, exactly and at once.
 
 All that had to be decided (where an object stands, which Gaussians go with it) is in the operation,
-so that doing it again on the same scene gives the same bytes. `requests` makes them.
+so that doing it again on the same scene gives the same bytes. `EditableScene` makes them.
 """
 
 import math
