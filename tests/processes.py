@@ -1,5 +1,6 @@
 """Runs of several processes on this machine, as torchrun starts them, but from one warm server."""
 
+import faulthandler
 import multiprocessing
 import os
 import signal
@@ -41,7 +42,11 @@ def run_processes(count: int, function: Callable[..., Any], *arguments: Any) -> 
     for process in processes:
         process.join(patience.SECONDS)
         if process.exitcode is None:
-            for other in processes:
+            running = [other for other in processes if other.exitcode is None]
+            for other in running:
+                os.kill(other.pid, signal.SIGUSR1)  # writes where it hangs
+            for other in running:
+                other.join(patience.SECONDS / 100)
                 other.kill()
             raise TimeoutError(f"a process of {function.__name__} hangs")
         assert process.exitcode == 0
@@ -49,6 +54,7 @@ def run_processes(count: int, function: Callable[..., Any], *arguments: Any) -> 
 
 
 def _member(rank, count, port, results, function, arguments) -> None:
+    faulthandler.register(signal.SIGUSR1, file=sys.__stderr__, all_threads=True)
     about = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": count, "MASTER_PORT": port}
     os.environ.update({name: str(value) for name, value in about.items()})
     os.environ["MASTER_ADDR"] = "127.0.0.1"

@@ -6,6 +6,7 @@ they cost no synchronisation of a GPU; gradients over nccl on CUDA.
 """
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ MIN_UNIT_PARAMETERS = 1_000_000
 """Blocks with at least so many parameters are gathered one at a time by FSDP."""
 WAIT = timedelta(hours=2)
 """The others wait so long while the first process validates or writes."""
+SECONDS_TO_LET_GO = 0.3
+"""A busy machine runs every waiting thread within so long."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,10 @@ def joined_processes(device: str) -> Iterator[Processes]:
     # and torchrun ends them once this process is gone.
     # A thread of gloo lets go of the last collective's tensors under Python's lock. This thread
     # frees the group with the lock held and waits for that one: for ever, if it is not done. A
-    # barrier has no tensors, and while this thread waits in it the other one gets the lock.
+    # barrier has no tensors, and while this thread waits in it the other one gets the lock, if
+    # the machine lets it run: on a busy one that takes longer than a barrier.
     distributed.barrier()
+    time.sleep(SECONDS_TO_LET_GO)
     distributed.destroy_process_group()
 
 
