@@ -13,7 +13,7 @@ size=${2:-}
 here=$(dirname "$0")
 rooms=0:32 resolution=128 training_scans=26 test_scans=6 holdout=4 adapt_steps=40 steps=60 save_steps=20
 if [ "$size" = --small ]; then
-    rooms=0:16 resolution=64 training_scans=3 test_scans=1 holdout=1 adapt_steps=2 steps=4 save_steps=2
+    rooms=0:4 resolution=64 training_scans=3 test_scans=1 holdout=1 adapt_steps=2 steps=4 save_steps=2
 elif [ -n "$size" ]; then
     echo "unknown option $size" >&2
     exit 2

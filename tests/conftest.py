@@ -14,8 +14,10 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import torch
 from jaxtyping import install_import_hook
 
+import annotations
+
 # Before anything of instok3d is imported: every jaxtyping annotation is checked in every test.
-install_import_hook("instok3d", "beartype.beartype")
+install_import_hook("instok3d", "annotations.checked")
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
@@ -30,6 +32,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "gpu" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    annotations.check_anew()
 
 
 @pytest.fixture
