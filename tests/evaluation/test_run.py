@@ -8,11 +8,19 @@ import torch
 from PIL import Image
 
 from flat_rooms import FlatRooms, oracle
-from instok3d.evaluation.figures import summarize
+from instok3d.evaluation.figures import OBJECTS, summarize
 from instok3d.evaluation.instance_ap import ApSettings
+from instok3d.evaluation.object_quality import ObjectScore
 from instok3d.evaluation.prediction import predict
 from instok3d.evaluation.protocols import ProtocolScene, protocol_rooms
-from instok3d.evaluation.report import KEYS, RESULTS_HEADER, as_json, as_table, results_rows
+from instok3d.evaluation.report import (
+    KEYS,
+    RESULTS_HEADER,
+    as_json,
+    as_table,
+    results_header,
+    results_rows,
+)
 from instok3d.evaluation.run import EvaluationReport, EvaluationSettings, evaluate
 from instok3d.evaluation.scores import GeometryScore, SceneScore, ViewScore, score_views
 from instok3d.evaluation.sheet import recolored, write_sheet
@@ -212,3 +220,38 @@ def test_lpips_is_measured_where_weights_are_and_its_network_is_named(flat_sampl
     photos = flat_sample.target.images[0]
     (score,) = score_views(flat_sample, photos, None, ApSettings(), lpips=distance)
     assert score.lpips == 0
+
+
+def test_objects_are_measured_where_they_are_asked_for(report):
+    assert report.figures.objects_per_instance is report.figures.purity is None
+    assert "objects" not in as_json(report)
+    rooms = FlatRooms(SEEDS[:1], ["easy"])
+    asked = evaluate(
+        knowing_model(rooms, targets=2),
+        protocol_rooms(rooms, [0], "rooms-2view", targets_per_scene=2),
+        EvaluationSettings(objects=True),
+        protocol="rooms-2view",
+        model_name="oracle",
+    )
+    found = as_json(asked)["objects"]
+    assert list(found) == list(OBJECTS)
+    assert (found["objects_per_instance"], found["whole_share"], found["found_share"]) == (1, 1, 1)
+    assert found["small_found_share"] is None  # all three things are large
+    assert "Objects in the context views: 6, 1.00 for each instance" in as_table(asked)
+    row = results_rows(asked, command="c", commit="abc", seed=None, machine="m")
+    head, line = results_header(asked).splitlines()
+    assert head.count("|") == line.count("|") == row.count("|")
+
+
+def test_figures_of_objects_by_hand():
+    # 5 objects for 4 instances, 3 of them whole; 2 of 4 instances and 1 of 2 small ones are found.
+    first = ObjectScore(3, 2, 2, 1, 2, 1, (0.5, 0.7, 0.9))
+    second = ObjectScore(2, 2, 1, 1, 0, 0, (1.0, 0.4))
+    scene = SceneScore("1", None, (ViewScore(psnr=20.0),), objects=(first, None, second))
+    figures = summarize([scene])
+    assert figures.objects_per_instance == pytest.approx(5 / 4)
+    assert figures.whole_share == pytest.approx(3 / 5)
+    assert figures.purity == pytest.approx(0.7)
+    assert figures.found_share == pytest.approx(2 / 4)
+    assert figures.small_found_share == pytest.approx(1 / 2)
+    assert (figures.counts["objects"], figures.counts["small_instances"]) == (5, 2)

@@ -51,6 +51,7 @@ def run(
     split: Literal["train", "val", "test"] = "test",
     pose_alignment_steps: int | None = None,
     refine: int = 0,
+    objects: bool = False,
     disturb: Disturbance | None = None,
     lpips: str | None = None,
     baselines: bool = False,
@@ -89,6 +90,8 @@ def run(
             captures these are figures beside the others, by 25 steps as a rule; 0 leaves them out.
         refine: Steps in which the Gaussians are optimised on the context photos first, as
             reconstruct does by default; 0 measures the paper's single forward pass.
+        objects: Also measure whether each thing is one whole object in the context views: objects
+            for each instance, share of whole ones, purity, instances found, small ones too.
         disturb: Do this to the context photos first, always in the same way (docs/evaluation.md);
             the targets stay clean.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
@@ -130,6 +133,7 @@ def run(
         ap=ApSettings(min_instance_area=20 if bare else 0),
         baselines=baselines,
         id_agreement=of_captures,
+        objects=objects,
         disturb=disturb,
     )
     distance = None if lpips is None else load_lpips(lpips)

@@ -52,15 +52,26 @@ class Figures:
     """Groups that win at least one anchor, mean over samples."""
     id_agreement: float | None
     """Share of pixels whose object id is the same in other views, mean over samples."""
+    objects_per_instance: float | None
+    """Objects for each true instance that the context views show, over all samples together."""
+    whole_share: float | None
+    """Of the objects, those with an IoU of at least .5 with an instance."""
+    purity: float | None
+    """Share of an object's rendered weight that lies in its true instance, mean over objects."""
+    found_share: float | None
+    """Of the instances, those with which an object has an IoU of at least .5."""
+    small_found_share: float | None
+    """The same of the instances under 1 % of the pixels of every view."""
     counts: dict[str, int]
     """Scores behind each figure: target views behind pictures, samples behind cameras, depth and
     groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance; in masks the
-    target views whose ids are known."""
+    target views whose ids are known; objects and small_instances over all samples."""
 
 
 PICTURES = ("psnr", "ssim", "lpips", "psnr_depth_scaled")
 MEDIANS = ("rotation_deg", "direction_deg", "length_rel")
 MEANS = ("depth_rel", "depth_rel_unscaled")
+OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share")
 
 
 def summarize(scenes: Sequence[SceneScore]) -> Figures:
@@ -86,6 +97,12 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
     pictures = {name: _known(views, name) for name in PICTURES}
     used = [float(count) for scene in scenes for count in scene.groups_used]
     agreements = [share for scene in scenes for share in scene.id_agreement if share is not None]
+    objects = [score for scene in scenes for score in scene.objects if score is not None]
+    purities = [purity for score in objects for purity in score.purities]
+
+    def total(name: str) -> int:
+        return sum(getattr(score, name) for score in objects)
+
     return Figures(
         scenes=len(scenes),
         samples=len(samples),
@@ -106,6 +123,11 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         **{name: _mean(_of_scenes(scenes, name, np.mean)) for name in MEANS},
         groups_used=_mean(used),
         id_agreement=_mean(agreements),
+        objects_per_instance=_ratio(total("num_objects"), total("num_instances")),
+        whole_share=_ratio(total("num_whole"), total("num_objects")),
+        purity=_mean(purities),
+        found_share=_ratio(total("num_found"), total("num_instances")),
+        small_found_share=_ratio(total("num_small_found"), total("num_small")),
         counts={
             **{name: len(values) for name, values in pictures.items()},
             **{name: len(_known(samples, name)) for name in (*MEDIANS, *MEANS)},
@@ -114,6 +136,8 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
             "groups_used": len(used),
             "id_agreement": len(agreements),
             "masks": with_masks,
+            "objects": total("num_objects"),
+            "small_instances": total("num_small"),
         },
     )
 
@@ -133,6 +157,10 @@ def _known(scores: Iterable[ViewScore | GeometryScore], name: str) -> list[float
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
 
 
 def _median(values: Sequence[float]) -> float | None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.camera_refinement import refined_cameras
 from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
+from instok3d.evaluation.object_quality import FoundObjects, found_objects
 from instok3d.geometry.camera_alignment import (
     TargetCameras,
     baseline_scale,
@@ -65,6 +66,8 @@ class Prediction:
     where no depth is known."""
     rendered_ids: RenderedIds | None = None
     """Of the context views at their predicted cameras, then of the targets; if asked for."""
+    objects: FoundObjects | None = None
+    """Of the context views at their predicted cameras; if asked for."""
     aligned: "Prediction | None" = None
     """The same scene with each target camera fitted to its photo; if asked for."""
 
@@ -80,6 +83,7 @@ def predict(
     alpha_min: float = 0.0,
     refine: int = 0,
     with_ids: bool = False,
+    with_objects: bool = False,
     also_aligned: int = 0,
 ) -> Prediction:
     """Run the model on the context views of a sample and render its scene at the targets.
@@ -93,6 +97,7 @@ def predict(
         alpha_min: Pixels covered no more than this belong to no group.
         refine: Steps of refinement on the context photos, at the cameras of the prediction.
         with_ids: Also render the ids of the context views, for `rendered_ids`.
+        with_objects: Also find the objects of the scene in the context views, for `objects`.
         also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
 
     Raises:
@@ -144,6 +149,9 @@ def predict(
         return rendering, _masks(rendering, alpha_min)
 
     contexts = seen_from(predicted) if with_ids else None
+    objects = None
+    if with_objects:
+        objects = found_objects(gaussians, pi, predicted, height, width, near=NEAR, far=FAR)
     winners = pi.argmax(dim=-1)
 
     def fitted(steps: int) -> Prediction:
@@ -164,6 +172,7 @@ def predict(
             geometry=groups.geometry,
             images_depth_scaled=by_depth,
             rendered_ids=rendered_ids,
+            objects=objects,
         )
 
     prediction = fitted(pose_alignment_steps)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from instok3d.evaluation.figures import MEANS, MEDIANS, PICTURES, Figures
+from instok3d.evaluation.figures import MEANS, MEDIANS, OBJECTS, PICTURES, Figures
 from instok3d.evaluation.run import EvaluationReport
 
 KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
@@ -16,7 +16,7 @@ CAPTURE_KEYS = (*KEYS, "id_agreement")
 ALIGNED_KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "id_agreement")
 """What changes where the target cameras are fitted to their photos."""
 
-_DECIMALS = {"psnr": 2, "rotation_deg": 2, "groups_used": 1}
+_DECIMALS = {"psnr": 2, "rotation_deg": 2, "groups_used": 1, "objects_per_instance": 2}
 
 RESULTS_HEADER = (
     "| protocol | geometry | model | rooms | targets | PSNR | SSIM | LPIPS | AP | AP50 | AP25 "
@@ -26,11 +26,16 @@ RESULTS_HEADER = (
 """Head of the table that `results_rows` fills; it holds this project's own figures alone."""
 
 
+_OBJECT_COLUMNS = ("objects per instance", "whole", "purity", "found", "small found")
+"""Of OBJECTS, where they were asked for."""
+
+
 def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
     """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
 
-    Of captures it has CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP),
-    `captures` (the same of each capture) and `aligned` (ALIGNED_KEYS and the `steps`, or null).
+    `objects` has OBJECTS where they were asked for. Of captures it has CAPTURE_KEYS and `targets`,
+    `outlined_targets` (the target views behind AP), `captures` (the same of each capture) and
+    `aligned` (ALIGNED_KEYS and the `steps`, or null).
 
     Args:
         report: What was measured.
@@ -54,6 +59,8 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
             }
             for name, each in report.levels.items()
         }
+    if report.settings.objects:
+        result["objects"] = _known_as(figures, OBJECTS)
     if details:
         result["details"] = {
             "settings": asdict(report.settings),
@@ -116,6 +123,8 @@ def notes(report: EvaluationReport) -> list[str]:
     elif report.lpips_trunk != "vgg16":
         lines.append(f"LPIPS is by {report.lpips_trunk}; published figures are by vgg16.")
     lines += _geometry_notes(report, word)
+    if report.settings.objects:
+        lines += _object_notes(figures)
     if report.settings.disturb:
         lines.append(f"The context photos were disturbed: {report.settings.disturb}.")
     if report.settings.refine:
@@ -141,6 +150,18 @@ def _alignment_note(report: EvaluationReport) -> str:
         "Target cameras were refined against the target photos by "
         f"{report.settings.pose_alignment_steps} steps of pose alignment."
     )
+
+
+def _object_notes(figures: Figures) -> list[str]:
+    """The figures of objects in words."""
+    counts = figures.counts
+    return [
+        f"Objects in the context views: {counts['objects']}, "
+        f"{_text(figures.objects_per_instance, 2)} for each instance seen; "
+        f"{_text(figures.whole_share)} of them have IoU >= .5 with an instance, purity "
+        f"{_text(figures.purity)}; {_text(figures.found_share)} of the instances are found, of the "
+        f"{counts['small_instances']} under 1 % of the pixels {_text(figures.small_found_share)}."
+    ]
 
 
 def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
@@ -172,11 +193,11 @@ def _geometry_notes(report: EvaluationReport, word: str) -> list[str]:
 
 
 def results_header(report: EvaluationReport) -> str:
-    """RESULTS_HEADER, with the word for what was measured, and same ids for captures."""
+    """RESULTS_HEADER, with the word for what was measured, same ids for captures, and objects."""
     header = RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
-    if not report.of_captures:
-        return header
-    return header.replace("| groups |", "| groups | same id |") + "---|"
+    more = ["same id"] * report.of_captures + [*_OBJECT_COLUMNS] * report.settings.objects
+    columns = "".join(f" {name} |" for name in more)
+    return header.replace("| groups |", f"| groups |{columns}") + "---|" * len(more)
 
 
 def results_rows(
@@ -230,7 +251,8 @@ def results_rows(
 
 
 def _keys(report: EvaluationReport) -> Sequence[str]:
-    return CAPTURE_KEYS if report.of_captures else KEYS
+    keys = CAPTURE_KEYS if report.of_captures else KEYS
+    return (*keys, *OBJECTS) if report.settings.objects else keys
 
 
 def _cells(figures: Figures, keys: Sequence[str]) -> Sequence[str]:

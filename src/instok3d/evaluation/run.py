@@ -10,6 +10,7 @@ from instok3d.evaluation.disturbances import Disturbance, disturbed
 from instok3d.evaluation.figures import Figures, summarize
 from instok3d.evaluation.id_agreement import id_agreement
 from instok3d.evaluation.instance_ap import ApSettings
+from instok3d.evaluation.object_quality import score_objects
 from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, predict
 from instok3d.evaluation.protocols import LEVELS, ProtocolScene
 from instok3d.evaluation.scores import SceneScore, ViewScore, score_geometry, score_views
@@ -43,6 +44,8 @@ class EvaluationSettings:
     """Also measure the simple baselines."""
     id_agreement: bool = False
     """Also measure whether views agree on the objects that they show."""
+    objects: bool = False
+    """Also measure whether each thing is one whole object (`object_quality`)."""
     disturb: Disturbance | None = None
     """What is done to the context photos first; None leaves them as they are."""
 
@@ -181,6 +184,7 @@ def _predict(
         alpha_min=settings.alpha_min,
         refine=settings.refine,
         with_ids=settings.id_agreement,
+        with_objects=settings.objects,
         also_aligned=settings.also_aligned,
     )
 
@@ -216,6 +220,15 @@ def _score_model(
             id_agreement(sample, prediction.rendered_ids)
             for sample, prediction in pairs
             if prediction.rendered_ids is not None
+        ),
+        objects=tuple(
+            score_objects(
+                sample.context_instances[0],
+                prediction.objects,
+                min_instance_area=settings.ap.min_instance_area,
+            )
+            for sample, prediction in pairs
+            if prediction.objects is not None
         ),
     )
 

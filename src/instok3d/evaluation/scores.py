@@ -12,6 +12,7 @@ from instok3d.data.sample import Sample
 from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.evaluation.image_quality import psnr, ssim
 from instok3d.evaluation.instance_ap import ApSettings, ImageMatches, PredictedMasks, match_image
+from instok3d.evaluation.object_quality import ObjectScore
 from instok3d.objectives.lpips import Lpips
 from instok3d.types import Geometry
 
@@ -57,6 +58,8 @@ class SceneScore:
     groups_used: tuple[int, ...] = ()
     id_agreement: tuple[float | None, ...] = ()
     """Of each sample: see `id_agreement.id_agreement`; None where no two views share a surface."""
+    objects: tuple[ObjectScore | None, ...] = ()
+    """Of each sample; None where no context view has a known id. Empty where nobody asked."""
 
 
 @torch.no_grad()
