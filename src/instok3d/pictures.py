@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image, ImageDraw
 from torch import Tensor
 
@@ -18,6 +18,9 @@ GAP = 6
 LINE = 16
 """Height of a line of text, pixels."""
 INK = (32, 32, 32)
+HATCH = (255, 0, 255)
+STRIPE = 3
+"""Width of a stripe, pixels along a row."""
 IGNORED = (64, 64, 64)
 """Colour of pixels without a known id (-1)."""
 
@@ -37,6 +40,15 @@ def color_picture(
     """SRGB images in [0, 1] as bytes; values outside are clamped."""
     bytes_ = (images.detach().float().clamp(0, 1) * 255).round().to(torch.uint8)
     return bytes_.movedim(-3, -1).contiguous().cpu().numpy()
+
+
+def hatched(
+    picture: UInt8[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"]
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The picture with magenta stripes where the mask is, which rooms hardly ever show."""
+    y, x = np.indices(mask.shape)
+    stripes = np.where(((x + y) // STRIPE % 2 == 0)[..., None], HATCH, picture // 2)
+    return np.where(mask[..., None], stripes, picture).astype(np.uint8)
 
 
 def save_png(picture: Image.Image, path: Path) -> None:

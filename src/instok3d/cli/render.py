@@ -28,6 +28,7 @@ def run(
     width: int | None = None,
     only: str | None = None,
     ids: bool = False,
+    holes: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Render a scene along a path of cameras.
@@ -46,6 +47,7 @@ def run(
         only: Id or key of one object to draw alone, on white.
         ids: Also write which object each pixel shows: NNN_ids.png with the ids in a folder, the
             objects' display colours below the pictures of a .png and instead of those of an .mp4.
+        holes: Hatch in magenta where the picture showed what was removed and shows nothing now.
         overwrite: Replace files that are already there.
     """
     from instok3d.cli.progress import plain_warnings
@@ -59,11 +61,13 @@ def run(
         raise FileExistsError(f"{output} is already there; pass --overwrite to write into it")
     if fps < 1:
         raise ValueError(f"fps must be at least 1, got {fps}")
+    if holes and only is not None:
+        raise ValueError("--holes marks what is missing from the whole picture: leave out --only")
     loaded = Scene.load(scene)
     with plain_warnings():
         way = fit_to_file(camera_path(loaded, path, frames, height, width), output, ids=ids)
     drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
-    shots = take_shots(loaded, way, drawn, ids=ids)
+    shots = take_shots(loaded, way, drawn, ids=ids, holes=holes)
     if output.suffix in FILMS:
         count = write_film(shots, output, fps, overwrite=overwrite)
     elif output.suffix in PICTURES:
@@ -105,18 +109,27 @@ class Shot:
 
 
 def take_shots(
-    scene: "Scene", path: "SizedCameras", only: int | str | None, *, ids: bool
+    scene: "Scene",
+    path: "SizedCameras",
+    only: int | str | None,
+    *,
+    ids: bool,
+    holes: bool = False,
 ) -> Iterator[Shot]:
     """The pictures one after the other: together they could fill the memory."""
-    from instok3d.pictures import color_picture, id_picture
+    from instok3d.pictures import color_picture, hatched, id_picture
 
     background = (0.0, 0.0, 0.0) if only is None else (1.0, 1.0, 1.0)
     for view in range(len(path.cameras.intrinsics)):
+        camera = path.cameras.view(view)
         seen = scene.render(
-            path.cameras.view(view), path.height, path.width,
+            camera, path.height, path.width,
             only=only, ids=ids, background=background,
         )  # fmt: skip
         picture = color_picture(seen.colors[0])
+        if holes:
+            mask = scene.holes(camera, path.height, path.width)[0]
+            picture = hatched(picture, mask.numpy())
         if seen.ids is None:
             yield Shot(picture, None, None)
         else:

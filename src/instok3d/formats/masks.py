@@ -4,12 +4,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool
 from PIL import Image
 
 from instok3d.files import json_text, replacing_folder
 from instok3d.formats.layouts import check_views
 from instok3d.formats.statements import scene_comments
+from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.scene import Scene
 
 INSTANCES = "instances.json"
@@ -67,18 +69,11 @@ def write_masks(folder: Path, scene: Scene, *, overwrite: bool = False) -> None:
 
 
 def coco_mask(mask: Bool[np.ndarray, "height width"]) -> dict[str, Any]:
-    """COCO's segmentation, bbox (x, y, width, height) and area of a mask with a pixel at least.
-
-    Runs go down the columns and begin with those outside.
-    """
-    flat = mask.T.reshape(-1)
-    changes = np.flatnonzero(np.diff(flat)) + 1
-    runs = np.diff(np.concatenate([[0], changes, [flat.size]]))
-    counts = [0, *runs.tolist()] if flat[0] else runs.tolist()
+    """COCO's segmentation, bbox (x, y, width, height) and area of a mask with a pixel at least."""
     y, x = np.nonzero(mask)
     left, top = int(x.min()), int(y.min())
     return {
-        "segmentation": {"size": list(mask.shape), "counts": counts},
+        "segmentation": RunLengths.of(torch.from_numpy(mask)).to_json(),
         "bbox": [left, top, int(x.max()) + 1 - left, int(y.max()) + 1 - top],
         "area": int(mask.sum()),
     }

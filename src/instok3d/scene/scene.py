@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
 from instok3d.scene.edits.editable import EditableScene
 from instok3d.scene.edits.folder import read_history, save_history
+from instok3d.scene.edits.holes import holes_left
 from instok3d.scene.edits.ownership import drawn_rows, row_ids
 from instok3d.scene.files import load_record
 from instok3d.scene.id_maps import COLUMNS, group_maps
@@ -85,13 +86,8 @@ class Scene(EditableScene):
                 made (`check_picture_size`).
             NotEnoughMemoryError: Id maps of this size are predicted not to fit.
         """
-        if isinstance(cameras, Cameras):
-            height = self.height if height is None else height
-            width = self.width if width is None else width
-            check_picture_size(height, width)
-        else:
-            sized = resize_cameras(self._input_cameras(cameras), height, width)
-            cameras, height, width = sized.cameras, sized.height, sized.width
+        sized = self._sized(cameras, height, width)
+        cameras, height, width = sized.cameras, sized.height, sized.width
         gaussians = self.drawn_gaussians() if only is None else self.part(only)
         near, far = self.near_far
         rendering = render(
@@ -99,6 +95,31 @@ class Scene(EditableScene):
         )
         id_maps = self._id_maps(gaussians, cameras, height, width) if ids else None
         return Pictures(rendering.colors, rendering.alphas, rendering.depths, ids=id_maps)
+
+    def holes(
+        self,
+        cameras: Cameras | Sequence[int] | None = None,
+        height: int | None = None,
+        width: int | None = None,
+    ) -> Bool[Tensor, "view height width"]:
+        """Where pictures showed what was removed and show nothing now.
+
+        Removals that the scene can undo count; a scene made anew from an edited one (refined, for
+        example) knows none.
+
+        Args:
+            cameras: As of `render`, likewise height and width.
+            height: Of the masks, pixels.
+            width: Likewise.
+
+        Raises:
+            ValueError: As `render`.
+        """
+        sized = self._sized(cameras, height, width)
+        size = sized.height, sized.width
+        if self.history is None:
+            return torch.zeros(len(sized.cameras.intrinsics), *size, dtype=torch.bool)
+        return holes_left(self.history, self, sized.cameras, *size)
 
     def part(self, only: int | str | Sequence[int | str]) -> Gaussians:
         """The Gaussians of one or some objects, in the scene's order.
@@ -162,6 +183,17 @@ class Scene(EditableScene):
                 `instok3d.scene.files.save_record`.
         """
         save_history(self, self.history, Path(path), overwrite=overwrite, more=more)
+
+    def _sized(
+        self, cameras: Cameras | Sequence[int] | None, height: int | None, width: int | None
+    ) -> SizedCameras:
+        """The cameras of an argument, and the size of their pictures."""
+        if not isinstance(cameras, Cameras):
+            return resize_cameras(self._input_cameras(cameras), height, width)
+        height = self.height if height is None else height
+        width = self.width if width is None else width
+        check_picture_size(height, width)
+        return SizedCameras(cameras, height, width)
 
     def _input_cameras(self, views: Sequence[int] | None) -> SizedCameras:
         if not self.views:

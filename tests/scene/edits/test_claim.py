@@ -1,15 +1,13 @@
-"""What goes with a removed object: its halo, and the hole that is marked."""
+"""What goes with a removed object: its halo."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 
-import instok3d
 from edited_scenes import assert_bit_equal, assert_consistent
 from imported_scene import imported_scene
-from instok3d.scene.edits.claim import claimed_rows, hole_of
-from instok3d.scene.edits.ownership import given_to, rebuilt
+from instok3d.scene.edits.claim import claimed_rows
+from instok3d.scene.edits.ownership import rebuilt
 from instok3d.scene.scene import Scene
 
 
@@ -37,31 +35,10 @@ def test_a_halo_goes_with_its_object_and_nothing_else_does(scene: Scene):
     assert_bit_equal(removed.undo(), haloed)
 
 
-def test_the_hole_is_marked_where_the_object_was_seen(tmp_path: Path, scene: Scene):
-    ids = scene.render(ids=True).ids
-    removed = scene.remove(1, claim=True)
-    hole = removed.hole()
-    assert ids is not None
-    # Pixels that showed mostly the object are those whose id it was, but for mixed ones.
-    assert float((hole == (ids == 1)).float().mean()) > 0.95
-    assert 100 < int(hole.sum()) < 400
-    removed.save(tmp_path / "room.itk")
-    assert torch.equal(instok3d.load(tmp_path / "room.itk").hole(), hole)
-    assert not removed.undo().hole().any()
-    assert not scene.hole().any()
-
-
-def test_without_views_nothing_is_claimed_and_no_hole_is_seen():
+def test_without_views_nothing_is_claimed():
     removed = imported_scene().remove(5, claim=True)
     assert [item.id for item in removed.objects] == [2, 7]
-    assert removed.hole().shape == (0, 24, 32)
 
 
-def test_several_objects_and_an_object_that_a_claim_empties(scene: Scene):
-    both = scene.remove(1, 3, claim=True)
-    assert both.objects == ()
-    chosen = torch.zeros(40, dtype=torch.bool)
-    chosen[:11] = True
-    one_left = given_to(scene, chosen, scene.object(3))
-    dropped = torch.zeros(40, dtype=torch.bool)
-    assert not hole_of(one_left, dropped).any()
+def test_several_objects_are_removed_at_once(scene: Scene):
+    assert scene.remove(1, 3, claim=True).objects == ()

@@ -169,8 +169,8 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     "its first line says 11": lines_changed(lambda rows: rows[0].update(done=11)),
     "says 9": lambda p: (lines_changed(lambda rows: rows[0].update(done=9))(p),
                          lines_changed(lambda rows: rows.__delitem__(slice(9, None)))(p)),
-    "reads logs of version 1, not 2; use a newer": lines_changed(
-        lambda rows: rows[0].update(version=2)
+    "reads logs of version 2, not 3; use a newer": lines_changed(
+        lambda rows: rows[0].update(version=3)
     ),
     "its format is 'other'": lines_changed(lambda rows: rows[0].update(format="other")),
     "belongs to another scene": lines_changed(lambda rows: rows[0].update(source="0" * 64)),

@@ -1,11 +1,10 @@
-"""What goes with a removed object: Gaussians of others at its rim, and the hole that it leaves."""
+"""What goes with a removed object: Gaussians of others at its rim."""
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.refinement.assignment import weights_by_group
-from instok3d.render import render
 from instok3d.scene.edits.ownership import row_ids
 from instok3d.scene.record import SceneRecord
 
@@ -46,23 +45,3 @@ def claimed_rows(scene: SceneRecord, ids: tuple[int, ...]) -> Int[Tensor, " row"
             beside |= ((means >= low) & (means <= high)).all(dim=1)
     claimed = ~own & beside & (total >= MIN_WEIGHT) & (inside > MIN_SHARE * total)
     return claimed.nonzero()[:, 0]
-
-
-@torch.no_grad()
-def hole_of(
-    scene: SceneRecord, dropped: Bool[Tensor, " gaussian"]
-) -> Bool[Tensor, "view height width"]:
-    """The pixels of the input views more than half of whose picture goes with some Gaussians."""
-    near, far = scene.near_far
-    masks = torch.zeros(len(scene.views), scene.height, scene.width, dtype=torch.bool)
-    alone = type(scene.gaussians)(
-        **{**vars(scene.gaussians), "anchor_index": dropped.long()}
-    )  # fmt: skip
-    for view in range(len(scene.views)):
-        maps = render(
-            alone, scene.cameras.view(view), scene.height, scene.width,
-            anchor_features=torch.tensor([[0.0], [1.0]]), near=near, far=far,
-        ).features  # fmt: skip
-        assert maps is not None
-        masks[view] = maps[0, 0] > 0.5
-    return masks

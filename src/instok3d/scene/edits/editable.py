@@ -5,14 +5,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from instok3d.geometry.moving import NO_TURN, Similarity, quat_about
 from instok3d.scene.edits.arguments import Number, degrees, factor, point
 from instok3d.scene.edits.arguments import color as checked_color
-from instok3d.scene.edits.claim import claimed_rows, hole_of
+from instok3d.scene.edits.claim import claimed_rows
 from instok3d.scene.edits.history import History
+from instok3d.scene.edits.holes import holes_after
 from instok3d.scene.edits.operations import (
     Duplicate,
     Edit,
@@ -29,7 +28,7 @@ from instok3d.scene.edits.operations import (
     carried,
     object_of,
 )
-from instok3d.scene.edits.ownership import Part, part_of, row_ids
+from instok3d.scene.edits.ownership import Part, part_of
 from instok3d.scene.edits.pieces import connected_pieces, gap_of, inside_box
 from instok3d.scene.edits.placing import (
     base_of_object,
@@ -41,6 +40,7 @@ from instok3d.scene.edits.placing import (
 from instok3d.scene.files import gaussians_sha256
 from instok3d.scene.objects import SceneObject, check_label
 from instok3d.scene.record import SceneRecord
+from instok3d.scene.run_lengths import RunLengths
 
 AnyScene = TypeVar("AnyScene", bound="EditableScene")
 Which = int | str
@@ -76,8 +76,8 @@ class EditableScene(SceneRecord):
         Args:
             objects: What goes.
             claim: Take Gaussians of others along that show the object more than anything else, as
-                haloes at its rim do, and mark the hole in the input views (`hole`). Renders the
-                input views.
+                haloes at its rim do, and write the hole in the input views into the log. Renders
+                the input views.
 
         Raises:
             KeyError: The scene has no such object.
@@ -86,18 +86,9 @@ class EditableScene(SceneRecord):
         if not claim:
             return self._edited(Remove(ids, torch.zeros(0, dtype=torch.long)))
         claimed = claimed_rows(self, ids)
-        dropped = torch.isin(row_ids(self), torch.tensor(ids))
-        dropped[claimed] = True
-        return self._edited(Remove(ids, claimed, hole_of(self, dropped)))
-
-    def hole(self) -> Bool[Tensor, "view height width"]:
-        """Pixels of the input views that showed what was removed, as far as it was marked."""
-        masks = torch.zeros(len(self.views), self.height, self.width, dtype=torch.bool)
-        for edit in self.history.edits if self.history is not None else ():
-            mask = edit.hole if isinstance(edit, Remove) else None
-            if mask is not None and mask.shape == masks.shape:
-                masks |= mask
-        return masks
+        removal = Remove(ids, claimed)
+        hole = holes_after(self, removal.dropped_rows(self))
+        return self._edited(replace(removal, hole=tuple(map(RunLengths.of, hole))))
 
     def move(
         self: AnyScene,

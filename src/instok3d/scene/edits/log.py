@@ -25,10 +25,11 @@ from instok3d.scene.edits.operations import OPERATIONS, Edit
 from instok3d.scene.edits.ownership import Part
 from instok3d.scene.objects import check_label
 from instok3d.scene.record import SceneRecord
+from instok3d.scene.run_lengths import RunLengths
 from instok3d.types import Gaussians, check_gaussians
 
 LOG, ASSETS = "edits.jsonl", "edits"
-FORMAT, VERSION = "instok3d edits", 1
+FORMAT, VERSION = "instok3d edits", 2
 REMEDY = "take the scene without its edits (Scene.load(path, edits=False)), or another copy of it"
 MAX_EDITS = 1_000_000
 """Lines of a log; more are taken for damage."""
@@ -215,17 +216,22 @@ def _read_rows(value: Any, assets: Path) -> Tensor:
     return rows
 
 
-def _write_masks(value: Tensor | None, wanted: dict[str, bytes]) -> str | None:
-    return None if value is None else _put({"masks": value}, wanted)
+def _write_masks(
+    value: tuple[RunLengths, ...] | None, wanted: dict[str, bytes]
+) -> list[dict[str, Any]] | None:
+    return None if value is None else [mask.to_json() for mask in value]
 
 
-def _read_masks(value: Any, assets: Path) -> Tensor | None:
+def _read_masks(value: Any, assets: Path) -> tuple[RunLengths, ...] | None:
+    """Masks of views; logs of version 1 name a file of them."""
     if value is None:
         return None
+    if isinstance(value, list):
+        return tuple(RunLengths.from_json(each) for each in value)
     masks = _get(value, assets, {"masks"})["masks"]
     if masks.dtype != torch.bool or masks.ndim != 3:
         raise ValueError(f"{masks.dtype} {tuple(masks.shape)} are no masks of views")
-    return masks
+    return tuple(map(RunLengths.of, masks))
 
 
 def _write_part(value: Part, wanted: dict[str, bytes]) -> str:

@@ -34,6 +34,7 @@ from instok3d.scene.objects import (
     find_object,
 )
 from instok3d.scene.record import SceneRecord
+from instok3d.scene.run_lengths import RunLengths
 from instok3d.types import Gaussians, check_gaussians
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -70,17 +71,21 @@ class Remove:
     objects: Annotated[tuple[int, ...], "ids"]
     claimed: Annotated[Int[Tensor, " row"], "rows"]
     """Rows among the scene's Gaussians that go too: haloes at the rim (`edits.claim`)."""
-    hole: Annotated[Bool[Tensor, "view height width"] | None, "masks"] = None
-    """Pixels of the input views that showed what goes; None where nobody looked."""
+    hole: Annotated[tuple[RunLengths, ...] | None, "masks"] = None
+    """The hole that it leaves in each input view (`edits.holes`); None where nobody looked."""
 
-    def apply(self, scene: SceneRecord) -> SceneRecord:
+    def dropped_rows(self, scene: SceneRecord) -> Bool[Tensor, " gaussian"]:
+        """Which Gaussians of the scene before go."""
         dropped = _rows_of(scene, self.objects)
         dropped[_checked_rows(self.claimed, len(dropped))] = True
-        return without_rows(scene, dropped, self.objects)
+        return dropped
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        return without_rows(scene, self.dropped_rows(scene), self.objects)
 
     def words(self, scene: SceneRecord) -> str:
         rim = f" and {len(self.claimed)} Gaussians at the rim" if len(self.claimed) else ""
-        return f"remove {_keys(scene, self.objects)}{rim}"
+        return f"remove {_keys(scene, self.objects)}{rim}{_hole_words(self.hole)}"
 
 
 @dataclass(frozen=True)
@@ -384,6 +389,15 @@ def _checked_rows(rows: Tensor, count: int) -> Tensor:
 
 def _keys(scene: SceneRecord, ids: Sequence[int]) -> str:
     return ", ".join(object_of(scene, number).key for number in ids)
+
+
+def _hole_words(hole: Sequence[RunLengths] | None) -> str:
+    """The share of the input views that a hole takes; nothing where there is none."""
+    area = sum(each.area for each in hole or ())
+    if not hole or not area:
+        return ""
+    pixels = sum(each.height * each.width for each in hole)
+    return f", which leaves a hole in {area / pixels:.2%} of the views"
 
 
 def _moved_words(scene: SceneRecord, number: int, motion: Similarity) -> str:
