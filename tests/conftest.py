@@ -54,12 +54,16 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def shipped_demo(tmp_path_factory: pytest.TempPathFactory) -> "ShippedDemo":
-    """What `instok3d demo` made; skips where a tree lacks the model or the photos."""
+    """What `instok3d demo` made, once for all processes; skips where a tree lacks the model."""
     from shipped_demo import is_shipped, make_demo
 
     if not is_shipped():
         pytest.skip("the default model and the demo's photos are not in this tree")
-    return make_demo(tmp_path_factory.mktemp("demo"))
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # that of the run, of which each process has a folder
+    (folder / "shipped_demo").mkdir(exist_ok=True)
+    return make_demo(folder / "shipped_demo")
 
 
 @pytest.fixture
