@@ -1,6 +1,6 @@
-"""A scene seen from between its first two cameras, and which object each pixel shows.
+"""A scene from between its first two cameras: its colours, objects and depth, side by side.
 
-python examples/01_render.py [room.itk between.png]
+python examples/01_look.py [room.itk look.png]
 
 Without arguments: of demo.itk, which is made if it is not there.
 """
@@ -8,22 +8,25 @@ Without arguments: of demo.itk, which is made if it is not there.
 import sys
 
 import numpy as np
-import torch
 from PIL import Image
 
 import instok3d
-from instok3d.types import Cameras
+from instok3d.pictures import color_picture, depth_picture, id_picture
+from instok3d.scene.paths import through
 
 given = len(sys.argv) > 1
 scene = instok3d.load(sys.argv[1]) if given else instok3d.demo(progress=print)
-output = sys.argv[2] if given else "between.png"
-first = scene.cameras.cam_from_world[0]
-second = scene.cameras.cam_from_world[min(1, len(scene.views) - 1)]
-between = first.clone()
-between[:3, 3] = (first[:3, 3] + second[:3, 3]) / 2
-pictures = scene.render(Cameras(between[None], scene.cameras.intrinsics[:1]), ids=True)
+output = sys.argv[2] if given else "look.png"
 
-picture = (pictures.colors[0].clamp(0, 1) * 255).round().to(torch.uint8)
-Image.fromarray(np.ascontiguousarray(picture.permute(1, 2, 0).numpy())).save(output)
+first_two = scene.cameras.views([0, min(1, len(scene.views) - 1)])
+between = through(first_two, frames=3).view(1)
+pictures = scene.render(between, ids=True)
+
+panels = [
+    color_picture(pictures.colors[0]),
+    id_picture(pictures.ids[0]),
+    depth_picture(pictures.depths[0], farthest=float(pictures.depths.max())),
+]
+Image.fromarray(np.concatenate(panels, axis=1)).save(output)
 for item in scene.objects:
     print(f"{item.key}: {int((pictures.ids == item.id).sum())} pixels")

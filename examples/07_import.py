@@ -1,0 +1,33 @@
+"""Gaussians that another program made, as a scene that can be drawn and edited.
+
+python examples/07_import.py FILE imported.itk
+
+FILE is a .ply, .spz, .splat, .ksplat, .sog or .glb, or a folder with a PLY for each object such
+as the paper's authors publish.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from instok3d.formats.importing import import_scene
+from instok3d.pictures import color_picture, id_picture
+from instok3d.scene.paths import orbit
+
+if len(sys.argv) != 3:
+    sys.exit((__doc__ or "").strip())
+source, output = Path(sys.argv[1]), Path(sys.argv[2])
+scene = import_scene(source)
+scene.save(output, overwrite=True)
+for item in scene.objects:
+    print(f"{item.key}: {item.num_gaussians} Gaussians")
+
+pictures = scene.render(orbit(scene, 1), ids=True)
+panels = [color_picture(pictures.colors[0]), id_picture(pictures.ids[0])]
+if scene.objects:
+    largest = max(scene.objects, key=lambda item: item.num_gaussians)
+    rest = scene.remove(largest.id).render(orbit(scene, 1))
+    panels.append(color_picture(rest.colors[0]))
+Image.fromarray(np.concatenate(panels, axis=1)).save(output.with_suffix(".png"))
