@@ -34,6 +34,10 @@ class Projected:
     inside: Bool[Tensor, " gaussian"]
     """Between near and far, with finite numbers and an invertible covariance."""
 
+    def rows(self, index: Int[Tensor, " chosen"]) -> "Projected":
+        """Some of them, in the order of the indices."""
+        return Projected(**{name: value[index] for name, value in vars(self).items()})
+
 
 def render_reference(
     gaussians: Gaussians,

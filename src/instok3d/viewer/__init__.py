@@ -1,0 +1,1 @@
+"""A scene in the browser, to look at and to edit; needs the extra `view`."""
