@@ -10,11 +10,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 from PIL import Image
 
 from instok3d.formats.importing import import_scene
+from instok3d.geometry.cameras import intrinsics_from_field_of_view
 from instok3d.pictures import color_picture, id_picture
-from instok3d.scene.paths import orbit
+from instok3d.types import Cameras
 
 if len(sys.argv) != 3:
     sys.exit((__doc__ or "").strip())
@@ -24,10 +26,12 @@ scene.save(output, overwrite=True)
 for item in scene.objects:
     print(f"{item.key}: {item.num_gaussians} Gaussians")
 
-pictures = scene.render(orbit(scene, 1), ids=True)
+# From the world's origin along z, where what was made of photos has its first camera.
+intrinsics = intrinsics_from_field_of_view(torch.tensor(1.0), scene.height, scene.width)
+camera = Cameras(torch.eye(4)[None], intrinsics[None])
+pictures = scene.render(camera, ids=True)
 panels = [color_picture(pictures.colors[0]), id_picture(pictures.ids[0])]
 if scene.objects:
     largest = max(scene.objects, key=lambda item: item.num_gaussians)
-    rest = scene.remove(largest.id).render(orbit(scene, 1))
-    panels.append(color_picture(rest.colors[0]))
+    panels.append(color_picture(scene.remove(largest.id).render(camera).colors[0]))
 Image.fromarray(np.concatenate(panels, axis=1)).save(output.with_suffix(".png"))
