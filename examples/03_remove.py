@@ -1,4 +1,4 @@
-"""An object removed: pictures before, after, and of the hole that it leaves in each photo.
+"""An object removed: pictures before, after, and of the hole that is left in each of them.
 
 python examples/03_remove.py [room.itk OBJECT removed.itk]
 
@@ -28,7 +28,7 @@ removed = scene.remove(item.id, claim=True)  # with its halo: what shows nothing
 removed.save(output, overwrite=True)
 
 before, after = (color_picture(each.render().colors) for each in (scene, removed))
-hole = np.repeat(255 * removed.hole()[..., None].numpy().astype(np.uint8), 3, axis=-1)
+hole = np.repeat(255 * removed.holes()[..., None].numpy().astype(np.uint8), 3, axis=-1)
 rows = [np.concatenate(row, axis=1) for row in (before, after, hole)]
 Image.fromarray(np.concatenate(rows)).save(output.with_suffix(".png"))
 
