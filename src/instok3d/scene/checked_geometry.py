@@ -15,6 +15,7 @@ from instok3d.scene.camera_check import camera_notes
 from instok3d.scene.colmap_source import ColmapSource, colmap_geometry
 from instok3d.scene.geometry_source import GeometrySource, own_name, supplied_geometry
 from instok3d.scene.odd_views import choose_matching_views
+from instok3d.scene.stated_focal import by_best_focal
 from instok3d.scene.supplied import unsure_patches
 from instok3d.types import Geometry
 
@@ -56,8 +57,8 @@ def checked_geometry(
     """Geometry of the photos that overlap with others; the rest is left out with a note.
 
     The checks need the pairwise matches of the nano backbone. With any other backbone all photos
-    and cameras are taken as they are. If nothing is left out, the geometry equals
-    `backbone(photos.views)` bit for bit.
+    and cameras are taken as they are. If nothing is left out and the focal length that the photos
+    state (EXIF) fits them, the geometry equals `backbone(photos.views)` bit for bit.
 
     Args:
         backbone: Predicts the geometry.
@@ -73,13 +74,15 @@ def checked_geometry(
         geometry = backbone(found.supplied.views)
         return CheckedGeometry(found.photos, geometry, found.notes, found.source, unsure)
     posed = photos.views.cam_from_world is not None
-    name, notes, compared = "given" if posed else own_name(backbone), [], ()
+    name, notes = "given" if posed else own_name(backbone), []
     if isinstance(backbone, NanoBackbone):
         checked = check_photos(backbone, photos, device)
-        photos, notes, compared = checked.photos, checked.notes, (checked.compared,)
-    if source is None:
-        geometry = backbone(photos.views.to(device), *compared)
-        return CheckedGeometry(photos, geometry, notes, name)
+        photos, notes = checked.photos, checked.notes
+        if source is None:
+            photos, geometry, doubts = by_best_focal(backbone, photos, checked.compared, device)
+            return CheckedGeometry(photos, geometry, [*notes, *doubts], name)
+    elif source is None:
+        return CheckedGeometry(photos, backbone(photos.views.to(device)), notes, name)
     supplied = supplied_geometry(source, photos, device)
     unsure = unsure_patches(supplied.unsure, backbone.patch_size).cpu()
     return CheckedGeometry(photos, backbone(supplied.views), notes, source.name, unsure)

@@ -21,6 +21,7 @@ from instok3d.backbones.nano.pair_cameras import (
     align_pairs,
     improve_views,
     initial_solution,
+    match_support,
     solve_views,
 )
 from instok3d.backbones.nano.pair_matches import PairMatches, PhotoViews, scale_focal
@@ -130,6 +131,24 @@ class NanoBackbone(NanoNetwork):
             intrinsics=intrinsics,
         )
         return settle_geometry(views, prediction)
+
+    @torch.no_grad()
+    def support(
+        self, views: Views, compared: ComparedPhotos, geometry: Geometry
+    ) -> Float[Tensor, " batch"]:
+        """Robust number of matches that fit a geometry, to compare geometries of the same photos.
+
+        Not differentiable.
+
+        Args:
+            views: The photos, as the geometry took them.
+            compared: Their matches.
+            geometry: Of these photos.
+        """
+        cameras = geometry.cameras
+        posed = PhotoViews(views.images.float(), geometry.depths, cameras.intrinsics)
+        solved = initial_solution(posed, cameras.cam_from_world)
+        return match_support(compared.pairs, posed, solved, AFTER_REFINEMENT)
 
     def refine(
         self,

@@ -163,7 +163,7 @@ def _chain_pairs(
     for _ in range(ROUNDS_ALONE):
         solved = improve_views(subset, two_views, solved, settings)
     # 2. In each scene, chain the pairs along the spanning tree of the most support.
-    support = _support(subset, two_views, solved, settings.noise).view(-1, batch)
+    support = match_support(subset, two_views, solved, settings.noise).view(-1, batch)
     b_from_a = solved.cam_from_first[:, 1].unflatten(0, (-1, batch))
     found = []
     for scene in range(batch):
@@ -196,10 +196,18 @@ def _as_scenes(
     return pair, scenes, both
 
 
-def _support(
+@one_thread()
+def match_support(
     pairs: list[PairMatches], views: PhotoViews, solved: SolvedViews, noise: BundleNoise
 ) -> Float[Tensor, " batch"]:
-    """Robust number of aligned matches that fit the cameras; wrong pairs have few."""
+    """Robust number of aligned matches that fit the cameras; wrong cameras have few.
+
+    Args:
+        pairs: Matches before any alignment.
+        views: With the depths and intrinsics that `solved` corrects.
+        solved: The cameras.
+        noise: Expected errors.
+    """
     views = views.corrected(solved)
     aligned = align_pairs(pairs, views, solved.cam_from_first)
     observations = pair_observations(aligned, views)
