@@ -37,10 +37,12 @@ class Options:
     """split: lowest x y z and highest x y z of what becomes a new object."""
     claim: bool | None = None
     """remove: take the halo at the rim of the object along (yes, unless False is given)."""
+    fill: Literal["plane"] | None = None
+    """remove: extend floors, walls and table tops into the hole, and say that it is invented."""
 
 
 TAKES: dict[str, tuple[str, ...]] = {
-    "remove": ("claim",), "move": ("by", "yaw", "factor"), "rotate": ("yaw",),
+    "remove": ("claim", "fill"), "move": ("by", "yaw", "factor"), "rotate": ("yaw",),
     "scale": ("factor",), "insert": ("at", "on", "yaw", "factor"),
     "duplicate": ("by", "yaw", "factor"), "recolor": ("color",), "split": ("box",),
 }  # fmt: skip
@@ -146,7 +148,7 @@ def edit(
     by = options.by or (0.0, 0.0, 0.0)
     box = None if options.box is None else (options.box[:3], options.box[3:])
     ways: dict[str, Callable[[], Scene]] = {
-        "remove": lambda: scene.remove(*named, claim=options.claim is not False),
+        "remove": lambda: scene.remove(*named, claim=options.claim is not False, fill=options.fill),
         "only": lambda: scene.only(*named),
         "move": lambda: scene.move(named[0], by, yaw=yaw, scale=factor),
         "rotate": lambda: scene.move(named[0], yaw=yaw),

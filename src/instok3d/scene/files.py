@@ -234,6 +234,7 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
             geometry_sha256=text(made.get("geometry_sha256", "")),
             refinements=tuple(_refinement(each) for each in made.get("refinements", ())),
             edits=tuple(text(each) for each in made.get("edits", ())),
+            invented=whole_number(made.get("invented", 0)),
             edited_from=text(made.get("edited_from", "")),
         ),
     }

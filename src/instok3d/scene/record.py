@@ -86,6 +86,8 @@ class Provenance:
     """In the order they were done; after one the tokens no longer give the Gaussians."""
     edits: tuple[str, ...] = ()
     """What was edited, in words, in the order it was done (`instok3d.scene.edits`)."""
+    invented: int = 0
+    """Gaussians that fills of removals added: no photo shows what they show."""
     edited_from: str = ""
     """SHA-256 of gaussians.safetensors of the scene before its first edit; empty without edits."""
 

@@ -10,7 +10,8 @@ def edited_words(scene: SceneRecord) -> str:
         return ""
     count = len(made.edits)
     operations = f"{count} operation{'s' * (count != 1)}"
-    return f"edited: {operations}, source sha256 {made.edited_from}"
+    invented = f", {made.invented} Gaussians invented" if made.invented else ""
+    return f"edited: {operations}{invented}, source sha256 {made.edited_from}"
 
 
 def statement(scene: SceneRecord) -> str:
@@ -23,9 +24,19 @@ def statement(scene: SceneRecord) -> str:
         f"It was edited: {len(made.edits)} operations on the scene whose gaussians.safetensors has "
         f"the SHA-256 {made.edited_from}.",
         "Pictures of it do not show the place as it was photographed.",
+        *_invented_words(made.invented),
         *(f"{number}. {words}" for number, words in enumerate(made.edits, 1)),
     ]
     return "\n".join(lines)
+
+
+def _invented_words(count: int) -> list[str]:
+    if not count:
+        return []
+    return [
+        f"{count} of its Gaussians were invented to fill holes that removals left: what they show "
+        "continues the surfaces around them, and no photo shows it."
+    ]
 
 
 def _inputs(scene: SceneRecord) -> str:

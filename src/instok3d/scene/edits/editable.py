@@ -1,5 +1,6 @@
 """What can be done with the objects of a scene; each edit gives a new scene."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
@@ -10,6 +11,7 @@ from instok3d.geometry.moving import NO_TURN, Similarity, quat_about
 from instok3d.scene.edits.arguments import Number, degrees, factor, point
 from instok3d.scene.edits.arguments import color as checked_color
 from instok3d.scene.edits.claim import claimed_rows
+from instok3d.scene.edits.fill import plane_fill
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.holes import holes_after
 from instok3d.scene.edits.operations import (
@@ -70,7 +72,12 @@ class EditableScene(SceneRecord):
         """
         return self._edited(Only(self._ids(objects)))
 
-    def remove(self: AnyScene, *objects: Which, claim: bool = False) -> AnyScene:
+    def remove(
+        self: AnyScene,
+        *objects: Which,
+        claim: bool = False,
+        fill: str | None = None,
+    ) -> AnyScene:
         """The scene without some objects; what no photo saw behind them is not there.
 
         Args:
@@ -78,17 +85,29 @@ class EditableScene(SceneRecord):
             claim: Take Gaussians of others along that show the object more than anything else, as
                 haloes at its rim do, and write the hole in the input views into the log. Renders
                 the input views.
+            fill: "plane" extends floors, walls and table tops at the rim of the hole into it: an
+                invention, which the provenance says. Renders the input views.
 
         Raises:
             KeyError: The scene has no such object.
+            ValueError: A fill of another kind, or of a scene without input views, whose hole no
+                picture shows.
         """
         ids = self._ids(objects)
-        if not claim:
+        if fill is not None and (fill != "plane" or not self.views):
+            why = f"{fill!r} is none" if self.views else "the scene has no input views"
+            raise ValueError(f"fill must be 'plane', in a scene with input views: {why}")
+        if not claim and fill is None:
             return self._edited(Remove(ids, torch.zeros(0, dtype=torch.long)))
-        claimed = claimed_rows(self, ids)
+        claimed = claimed_rows(self, ids) if claim else torch.zeros(0, dtype=torch.long)
         removal = Remove(ids, claimed)
-        hole = holes_after(self, removal.dropped_rows(self))
-        return self._edited(replace(removal, hole=tuple(map(RunLengths.of, hole))))
+        dropped = removal.dropped_rows(self)
+        hole = tuple(map(RunLengths.of, holes_after(self, dropped)))
+        invented = None if fill is None else plane_fill(self, dropped, removal.apply(self))
+        if invented is not None and not len(invented.means):
+            warnings.warn("no flat surface is seen around the hole: nothing fills it", stacklevel=2)
+            invented = None
+        return self._edited(replace(removal, hole=hole, invented=invented))
 
     def move(
         self: AnyScene,

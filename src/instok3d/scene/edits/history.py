@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 
-from instok3d.scene.edits.operations import Edit
+from instok3d.scene.edits.operations import Edit, num_invented
 from instok3d.scene.record import SceneRecord
 
 
@@ -84,6 +84,7 @@ class History:
         provenance = replace(
             made,
             edits=(*made.edits, edit.words(scene)),
+            invented=made.invented + num_invented(edit),
             edited_from=made.edited_from or self.source_sha256,
         )
         return replace(edit.apply(scene), provenance=provenance)

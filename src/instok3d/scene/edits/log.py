@@ -8,7 +8,7 @@ objects. Tensors lie in edits/, in files named by their SHA-256. docs/formats.md
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -126,7 +126,12 @@ def _read_edit(value: Any, where: str, assets: Path) -> Edit:
         extra = set(value) - set(wanted) - {"edit"}
         if extra:
             raise ValueError(f"unknown keys {sorted(extra)}")
-        return kind(**{key: each.read(value[key], assets) for key, each in wanted.items()})
+        # Logs of older versions lack what has a default: version 1 knew no fill.
+        lacking = {each.name for each in fields(kind) if each.default is not MISSING} - set(value)
+        return kind(**{
+            key: each.read(value[key], assets) for key, each in wanted.items()
+            if key not in lacking
+        })  # fmt: skip
 
 
 def _line(edit: Edit, wanted: dict[str, bytes]) -> dict[str, Any]:
@@ -234,31 +239,53 @@ def _read_masks(value: Any, assets: Path) -> tuple[RunLengths, ...] | None:
     return tuple(map(RunLengths.of, masks))
 
 
+def _write_gaussians(value: Gaussians | None, wanted: dict[str, bytes]) -> str | None:
+    return None if value is None or not len(value.means) else _put(vars(value), wanted)
+
+
+def _read_gaussians(value: Any, assets: Path) -> Gaussians | None:
+    if value is None:
+        return None
+    return _gaussians(_get(value, assets, {field.name for field in fields(Gaussians)}))
+
+
+def _gaussians(tensors: Mapping[str, Tensor]) -> Gaussians:
+    """The Gaussians among the tensors of a file, at least one, checked."""
+    gaussians = Gaussians(**{field.name: tensors[field.name] for field in fields(Gaussians)})
+    n, sh = len(gaussians.means), gaussians.sh
+    shapes = {
+        "means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,),
+        "sh": (n, sh.shape[min(1, sh.ndim - 1)], 3), "anchor_index": (n,),
+    }  # fmt: skip
+    _check_tensors(vars(gaussians), shapes)
+    check_gaussians(gaussians, "the part")
+    if not n:
+        raise ValueError("there are no Gaussians in it")
+    return gaussians
+
+
+def _check_tensors(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    for name, shape in shapes.items():
+        kind = torch.int64 if name == "anchor_index" else torch.float32
+        if tensors[name].dtype != kind or tuple(tensors[name].shape) != shape:
+            found = f"{tensors[name].dtype} {tuple(tensors[name].shape)}"
+            raise ValueError(f"{name} is {found}, wanted {kind} {shape}")
+
+
 def _write_part(value: Part, wanted: dict[str, bytes]) -> str:
     own = {"positions": value.positions, "anchors": value.anchors, "group": value.group}
     return _put({**vars(value.gaussians), **own}, wanted)
 
 
 def _read_part(value: Any, assets: Path) -> Part:
-    names = [field.name for field in fields(Gaussians)]
+    names = {field.name for field in fields(Gaussians)}
     tensors = _get(value, assets, {*names, "positions", "anchors", "group"})
-    for name, each in tensors.items():
-        if each.dtype != (torch.int64 if name == "anchor_index" else torch.float32):
-            raise ValueError(f"{name} is {each.dtype}")
-    n, k, c = len(tensors["means"]), len(tensors["positions"]), tensors["group"].shape[-1]
-    shapes = {
-        "means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,),
-        "sh": (n, tensors["sh"].shape[min(1, tensors["sh"].ndim - 1)], 3), "anchor_index": (n,),
-        "positions": (k, 3), "anchors": (k, c), "group": (c,),
-    }  # fmt: skip
-    for name, shape in shapes.items():
-        if tuple(tensors[name].shape) != shape:
-            raise ValueError(f"{name} is {tuple(tensors[name].shape)}, wanted {shape}")
-    gaussians = Gaussians(**{name: tensors[name] for name in names})
-    check_gaussians(gaussians, "the part")
+    k, c = len(tensors["positions"]), tensors["group"].shape[-1]
+    _check_tensors(tensors, {"positions": (k, 3), "anchors": (k, c), "group": (c,)})
+    gaussians = _gaussians(tensors)
     tokens = [tensors[name] for name in ("positions", "anchors", "group")]
-    if not n or not all(each.isfinite().all() for each in tokens):
-        raise ValueError("a part needs Gaussians, and tokens that are finite")
+    if not all(each.isfinite().all() for each in tokens):
+        raise ValueError("the tokens of a part must be finite")
     if int(gaussians.anchor_index.max()) >= k:
         raise ValueError(f"anchor_index beyond {k}")
     return Part(gaussians, *tokens)
@@ -277,6 +304,7 @@ KINDS: dict[str, Kind] = {
     "share": _plain(_share),
     "rows": Kind(_write_rows, _read_rows),
     "masks": Kind(_write_masks, _read_masks),
+    "gaussians": Kind(_write_gaussians, _read_gaussians),
     "part": Kind(_write_part, _read_part),
 }  # fmt: skip
 """By the kinds of the operations' fields."""

@@ -23,6 +23,7 @@ from instok3d.scene.edits.ownership import (
     part_of,
     rebuilt,
     row_ids,
+    with_more,
     with_part,
     without_rows,
 )
@@ -73,6 +74,8 @@ class Remove:
     """Rows among the scene's Gaussians that go too: haloes at the rim (`edits.claim`)."""
     hole: Annotated[tuple[RunLengths, ...] | None, "masks"] = None
     """The hole that it leaves in each input view (`edits.holes`); None where nobody looked."""
+    invented: Annotated[Gaussians | None, "gaussians"] = None
+    """Gaussians that fill the hole (`edits.fill`); anchor_index names anchors of what is left."""
 
     def dropped_rows(self, scene: SceneRecord) -> Bool[Tensor, " gaussian"]:
         """Which Gaussians of the scene before go."""
@@ -81,11 +84,14 @@ class Remove:
         return dropped
 
     def apply(self, scene: SceneRecord) -> SceneRecord:
-        return without_rows(scene, self.dropped_rows(scene), self.objects)
+        left = without_rows(scene, self.dropped_rows(scene), self.objects)
+        return left if self.invented is None else with_more(left, self.invented)
 
     def words(self, scene: SceneRecord) -> str:
         rim = f" and {len(self.claimed)} Gaussians at the rim" if len(self.claimed) else ""
-        return f"remove {_keys(scene, self.objects)}{rim}{_hole_words(self.hole)}"
+        count = num_invented(self)
+        fill = f"; {count} invented Gaussians extend the surfaces around it" if count else ""
+        return f"remove {_keys(scene, self.objects)}{rim}{_hole_words(self.hole)}{fill}"
 
 
 @dataclass(frozen=True)
@@ -301,6 +307,12 @@ OPERATIONS: dict[str, type[Edit]] = {
     )
 }  # fmt: skip
 """By the name that stands in a log."""
+
+
+def num_invented(edit: Edit) -> int:
+    """Gaussians that an edit adds and that no photo shows: those of fills."""
+    invented = edit.invented if isinstance(edit, Remove) else None
+    return 0 if invented is None else len(invented.means)
 
 
 def object_of(scene: SceneRecord, which: int | str) -> SceneObject:

@@ -138,6 +138,32 @@ def with_part(scene: SceneRecord, part: Part, item: SceneObject) -> SceneRecord:
     return rebuilt(scene, gaussians, tokens, (*scene.objects, item), counts, {item.id})
 
 
+def with_more(scene: SceneRecord, more: Gaussians) -> SceneRecord:
+    """The scene with more Gaussians of its own anchors, each at the end of its owner's.
+
+    Args:
+        scene: What is edited.
+        more: anchor_index names anchors of the scene, which say whose they are.
+
+    Raises:
+        ValueError: An anchor is not there.
+    """
+    if not len(more.means):
+        return scene
+    owner = owners(scene.tokens)
+    if int(more.anchor_index.max()) >= len(owner):
+        raise ValueError(f"anchor_index up to {int(more.anchor_index.max())} of {len(owner)}")
+    known = torch.tensor([0, *(item.id for item in scene.objects)])
+    ids = owner[more.anchor_index] + 1
+    ids = torch.cat([row_ids(scene), torch.where(torch.isin(ids, known), ids, 0)])
+    order = torch.where(ids == 0, len(scene.tokens.groups) + 1, ids).argsort(stable=True)
+    gaussians = Gaussians.concatenate(list(same_degree(scene.gaussians, more))).rows(order)
+    totals = ids.bincount(minlength=len(scene.tokens.groups) + 1).tolist()
+    counts = {item.id: totals[item.id] for item in scene.objects}
+    changed = set(ids[len(scene.gaussians.means) :].tolist()) - {0}
+    return rebuilt(scene, gaussians, scene.tokens, scene.objects, counts, changed)
+
+
 def same_degree(first: Gaussians, second: Gaussians) -> tuple[Gaussians, Gaussians]:
     """Both with as many colour coefficients; those that one lacks are zeros."""
     count = max(first.sh.shape[1], second.sh.shape[1])
