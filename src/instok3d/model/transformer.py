@@ -32,13 +32,35 @@ class Attention(nn.Module):
         context: Float[Tensor, "batch source channel"],
     ) -> Float[Tensor, "batch token channel"]:
         """What each token gathers from the context (for self-attention, from the tokens)."""
-        query = self.query(tokens).unflatten(-1, (-1, self.head_size))
         key, value = self.key_value(context).unflatten(-1, (2, -1, self.head_size)).unbind(-3)
+        return self.out(self._gather(tokens, key, value))
+
+    def gather_other(
+        self,
+        tokens: Float[Tensor, "batch token channel"],
+        context: Float[Tensor, "batch source channel"],
+        values: Float[Tensor, "batch source channel"],
+    ) -> Float[Tensor, "batch token channel"]:
+        """Other values of the context, gathered by the same weights, head by head.
+
+        Neither this layer's own values nor its output map take part.
+        """
+        key = functional.linear(context, self.key_value.weight.chunk(2)[0])
+        heads = (each.unflatten(-1, (-1, self.head_size)) for each in (key, values))
+        return self._gather(tokens, *heads)
+
+    def _gather(
+        self,
+        tokens: Float[Tensor, "batch token channel"],
+        key: Float[Tensor, "batch source head size"],
+        value: Float[Tensor, "batch source head size"],
+    ) -> Float[Tensor, "batch token channel"]:
+        query = self.query(tokens).unflatten(-1, (-1, self.head_size))
         query, key = self.query_norm(query).to(value.dtype), self.key_norm(key).to(value.dtype)
         gathered = functional.scaled_dot_product_attention(
             query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
         )
-        return self.out(gathered.transpose(1, 2).flatten(2))
+        return gathered.transpose(1, 2).flatten(2)
 
 
 class DecoderLayer(nn.Module):
@@ -98,6 +120,10 @@ class Decoder(nn.Module):
             for _ in range(layers)
         )
         self.norm = nn.LayerNorm(width)
+
+    def each_layer(self) -> list[DecoderLayer]:
+        """The layers in their order, to be run one by one."""
+        return [layer for layer in self.layers if isinstance(layer, DecoderLayer)]
 
     def forward(
         self,
