@@ -71,6 +71,8 @@ class Scenes(Flow):
 
 def _concatenated(values: list[Any], axis: int) -> Any:
     first = values[0]
+    if first is None:
+        return None
     return first.concatenate(values, axis) if isinstance(first, Flow) else torch.cat(values, axis)
 
 
@@ -167,6 +169,8 @@ class Anchors(Flow):
     """A_k (or the seeds A0 before the decoder)."""
     patches: Int[Tensor, "batch anchor"]
     """Which patch of the context each anchor was placed on."""
+    lifted: Float[Tensor, "batch anchor channel"] | None = None
+    """Anchor semantic tokens (Sec. 3.3), where 2D features were lifted."""
 
 
 @dataclass(frozen=True)

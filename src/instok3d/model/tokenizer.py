@@ -1,8 +1,11 @@
 """The tokenizer: photos in, a scene made of token groups out (Fig. 2a)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.model.anchors import AnchorDecoder, AnchorPlacement
@@ -13,7 +16,7 @@ from instok3d.model.transformer import Decoder
 from instok3d.model.views.free_space import prune_free_space
 from instok3d.model.views.joining import collate_scenes, join_windows
 from instok3d.model.views.windows import cut_window, middle_windows, view_windows
-from instok3d.types import Geometry, TokenGroups, Views
+from instok3d.types import Anchors, Context, Geometry, TokenGroups, Views
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,21 @@ PAPER = TokenizerConfig(
 Gaussians within 0.1 m of their anchor along each axis and no larger than 0.3 m."""
 
 
+@runtime_checkable
+class Lift(Protocol):
+    """Gathers features of the patches into the anchors beside D_anchor (Sec. 3.3)."""
+
+    def __call__(
+        self, decoder: Decoder, seeds: Anchors, context: Context
+    ) -> Float[Tensor, "batch anchor channel"]:
+        """Anchor semantic tokens of what D_anchor decodes."""
+        ...
+
+    def cut(self, scene: int, window: Sequence[int]) -> "Lift":
+        """The same for one scene's views of a window."""
+        ...
+
+
 class Tokenizer(nn.Module):
     """Photos of a room to a 3D scene made of objects, in one forward pass."""
 
@@ -112,7 +130,9 @@ class Tokenizer(nn.Module):
         self.assign = Assignment(width, project=config.project_assignment)
         self.gaussian_head = GaussianHead(width, config.gaussian_head)
 
-    def forward(self, views: Views, geometry: Geometry | None = None) -> TokenGroups:
+    def forward(
+        self, views: Views, geometry: Geometry | None = None, lift: "Lift | None" = None
+    ) -> TokenGroups:
         """A scene of each set of photos, in scene units and in the first view's camera frame.
 
         `tokenize`, and two steps that the paper does not have: more views than window_views are
@@ -122,6 +142,8 @@ class Tokenizer(nn.Module):
             views: 1 to 16 photos of each scene.
             geometry: The backbone's output for these views where it was computed before (it is
                 frozen while the tokenizer learns, so its output can be cached).
+            lift: Gathers features of the patches into the anchors too (`Anchors.lifted`); nothing
+                else changes.
 
         Raises:
             ValueError: The image size is no multiple of the patch size.
@@ -130,12 +152,14 @@ class Tokenizer(nn.Module):
         seen: Geometry = self.backbone(views) if geometry is None else geometry
         size = self.config.window_views
         if size == 0 or views.images.shape[1] <= size:
-            groups = self.tokenize(views, seen)
+            groups = self.tokenize(views, seen, lift=lift)
         else:
-            groups = self._tokenize_windows(views, seen, size)
+            groups = self._tokenize_windows(views, seen, size, lift)
         return prune_free_space(groups) if self.config.thin_free_space else groups
 
-    def tokenize(self, views: Views, seen: Geometry, *, draw: bool = True) -> TokenGroups:
+    def tokenize(
+        self, views: Views, seen: Geometry, *, draw: bool = True, lift: "Lift | None" = None
+    ) -> TokenGroups:
         """All views at once, one line for each arrow of Fig. 2(a).
 
         Positions and Gaussians come out in scene units (the geometry's) and in the first view's
@@ -146,10 +170,13 @@ class Tokenizer(nn.Module):
             views: Only the images are used.
             seen: The backbone's output for them.
             draw: Decode Gaussians; otherwise the scene has none.
+            lift: See `forward`.
         """
         context = self.fuse(views, seen)  # X: one token per patch of every view
         seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
         anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
+        if lift is not None:
+            anchors = replace(anchors, lifted=lift(self.anchor_decoder.decoder, seeds, context))
         groups = self.group_decoder(anchors)  # G (Eq. 2)
         assignment = self.assign(anchors.tokens, groups)  # pi (Eq. 3)
         head = self.gaussian_head if draw else self.gaussian_head.no_gaussians
@@ -165,7 +192,9 @@ class Tokenizer(nn.Module):
             geometry=seen,
         )
 
-    def _tokenize_windows(self, views: Views, seen: Geometry, size: int) -> TokenGroups:
+    def _tokenize_windows(
+        self, views: Views, seen: Geometry, size: int, lift: "Lift | None"
+    ) -> TokenGroups:
         """Each window of views alone, then the groups of all windows merged."""
         scenes = []
         for scene in range(len(views.images)):
@@ -173,7 +202,10 @@ class Tokenizer(nn.Module):
             drawn = set(middle_windows(windows).values())
             parts = []
             for number, window in enumerate(windows):
-                part = self.tokenize(*cut_window(views, seen, scene, window), draw=number in drawn)
+                own_lift = None if lift is None else lift.cut(scene, window)
+                part = self.tokenize(
+                    *cut_window(views, seen, scene, window), draw=number in drawn, lift=own_lift
+                )
                 parts.append(replace(part, geometry=seen))  # frees its copy of the geometry
             scenes.append(join_windows(parts, windows, seen, scene))
         return collate_scenes(scenes, seen)

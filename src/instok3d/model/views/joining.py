@@ -206,13 +206,13 @@ def _from_middles(
         kept = torch.as_tensor(mine, device=where.device)[where // per_view]
         world_from_first = invert_rigid(geometry.cameras.cam_from_world[scene, window[0]])
         positions = transform_points(world_from_first, part.anchors.positions[0, kept])
-        tokens = part.anchors.tokens[:, kept]
-        anchors.append(Anchors(positions[None], tokens, where[None, kept]))
+        own = part.anchors.map(lambda values, kept=kept: values[:, kept])
+        anchors.append(replace(own, positions=positions[None], patches=where[None, kept]))
         rows = kept[part.gaussians.anchor_index[0]]
-        own = part.gaussians.scene(0).rows(rows)
+        drawn = part.gaussians.scene(0).rows(rows)
         new_number = kept.cumsum(0) - 1 + count
-        own = replace(own, anchor_index=new_number[own.anchor_index])
-        gaussians.append(move_gaussians(own, world_from_first))
+        drawn = replace(drawn, anchor_index=new_number[drawn.anchor_index])
+        gaussians.append(move_gaussians(drawn, world_from_first))
         count += int(kept.sum())
     joined = Gaussians.concatenate(gaussians)
     return Anchors.concatenate(anchors, axis=1), joined.batched()
