@@ -22,6 +22,7 @@ OPTIONAL = {
     "gaussforge": ("formats", "writing .sog"),
     "zstandard": ("formats", "reading .spz of version 4"),
     "pxr": ("usd", "writing .usdz"),
+    "viser": ("view", "looking at scenes in the browser"),
 }
 """Modules of optional packages: the extra that brings each, and what it is for."""
 

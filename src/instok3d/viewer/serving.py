@@ -1,0 +1,191 @@
+"""A viser server behind the guard. viser itself asks nobody who they are.
+
+viser gives no hook for checks, so its function for incoming requests is wrapped when it opens its
+port: pages and websockets pass `Guard` first, and answers get headers that keep the page to
+itself. What it would offer beyond that is taken away: its public tunnel and uploads.
+"""
+
+import http
+import inspect
+import io
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import TYPE_CHECKING, Any
+
+from instok3d.viewer.guard import Guard, random_token
+
+if TYPE_CHECKING:
+    import viser
+
+TRIES = 100
+"""Ports that are tried, from the one asked for on."""
+STOP_S = 10.0
+"""Longest wait for the end of a server's thread."""
+_STARTING = threading.Lock()
+
+
+def require_viser() -> None:
+    """Check that viser is there.
+
+    Raises:
+        ModuleNotFoundError: It is not; says how to install it.
+    """
+    try:
+        import viser  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "the viewer needs the package viser: pip install 'instok3d[view]'"
+        ) from error
+
+
+def serve(
+    host: str = "127.0.0.1", port: int = 8080, token: str | None = None, *, title: str
+) -> tuple["viser.ViserServer", Guard]:
+    """An empty viser server, and who may talk to it.
+
+    Args:
+        host: Address to listen on.
+        port: The first one that is free from this on is taken; 0 takes any.
+        token: None makes a random one.
+        title: Shown at the head of the panel.
+
+    Raises:
+        ModuleNotFoundError: viser is not installed.
+        ValueError: A bad token, an address that is not this machine's, or no free port.
+        RuntimeError: This version of viser cannot be guarded.
+    """
+    require_viser()
+    import viser
+    from viser import _messages
+
+    with _STARTING:
+        guard = Guard(token or random_token(), host, free_port(host, port))
+        with _guarding(guard) as guarded, redirect_stdout(io.StringIO()):
+            server = viser.ViserServer(host, guard.port, label=title, verbose=False)
+    if not guarded or server.get_port() != guard.port:
+        stop_serving(server)
+        raise RuntimeError(
+            f"viser {viser.__version__} does not open its port as this program knows it, so that "
+            "requests could not be checked: pip install 'instok3d[view]'"
+        )
+    sockets = server._websock_server
+    for message in (
+        _messages.ShareUrlRequest,
+        _messages.ShareUrlDisconnect,
+        _messages.FileTransferStartUpload,
+        _messages.FileTransferPart,
+    ):
+        sockets.unregister_handler(message)
+    return server, guard
+
+
+def stop_serving(server: "viser.ViserServer") -> None:
+    """End a server and its thread."""
+    with redirect_stdout(io.StringIO()):  # viser prints a farewell from that thread
+        server.stop()
+        thread = server._websock_server._server_thread
+        if thread is not None:
+            thread.join(STOP_S)
+
+
+def free_port(host: str, first: int) -> int:
+    """The first free port from one on, or any for 0.
+
+    Raises:
+        ValueError: It is no port, the address is not this machine's, or none is free.
+    """
+    if not 0 <= first <= 65535:
+        raise ValueError(f"port must be 0 (any) or up to 65535, got {first}")
+    error: OSError | None = None
+    for port in range(first, min(first + TRIES, 65536)) if first else (0,):
+        try:
+            family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+            with socket.create_server((host, port), family=family) as listening:
+                return listening.getsockname()[1]
+        except OSError as failure:
+            error = failure
+    raise ValueError(
+        f"cannot listen on {host}, port {first} or the next {TRIES}: "
+        f"{error.strerror if error else 'none is free'}; give another --host or --port"
+    )
+
+
+@contextmanager
+def _guarding(guard: Guard) -> Iterator[list[bool]]:
+    """Put the guard before viser's own function for requests; the list says whether it was."""
+    from websockets.asyncio import server as websockets_server
+
+    original, guarded = websockets_server.serve, []
+
+    def guarded_serve(*arguments: Any, **options: Any) -> Any:
+        handler = options.get("process_request")
+        if handler is None or getattr(handler, "__name__", "") != "viser_http_server":
+            return original(*arguments, **options)
+        guarded.append(True)
+        return original(*arguments, **options | {"process_request": checked(guard, handler)})
+
+    websockets_server.serve = guarded_serve  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield guarded
+    finally:
+        websockets_server.serve = original
+
+
+def checked(guard: Guard, handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Awaitable]:
+    """A function for requests that asks the guard first."""
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    async def check(connection: Any, request: Any) -> Any:
+        reason = guard.refusal(request.path, request.headers.get_all)
+        if reason is not None:
+            headers = Headers(**{"Content-Type": "text/plain; charset=utf-8"} | KEEP_TO_ITSELF)
+            status = http.HTTPStatus.FORBIDDEN
+            return Response(status, status.phrase, headers, f"refused: {reason}\n".encode())
+        is_websocket = request.headers.get("Upgrade") is not None
+        if not is_websocket and guard.has_token(request.path):
+            # The token goes from the address, where a screen shows it, into a cookie.
+            cookie = f"{guard.cookie}={guard.token}; Path=/; HttpOnly; SameSite=Strict"
+            headers = Headers(**{"Location": "/", "Set-Cookie": cookie} | KEEP_TO_ITSELF)
+            status = http.HTTPStatus.SEE_OTHER
+            return Response(status, status.phrase, headers, b"")
+        response = handler(connection, request)
+        if inspect.isawaitable(response):
+            response = await response
+        if response is not None:
+            response.headers.update(KEEP_TO_ITSELF)
+            response.headers["Content-Security-Policy"] = policy(request.headers["Host"])
+        return response
+
+    return check
+
+
+KEEP_TO_ITSELF = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+"""Headers of every answer."""
+
+
+def policy(host: str) -> str:
+    """What the page may load and where it may send: nothing beyond this server."""
+    return "; ".join([
+        "default-src 'none'",
+        # viser's page is one file, whose script unpacks the program into another inline script,
+        # and its sorting of splats makes functions from text.
+        "script-src 'unsafe-inline' 'unsafe-eval' blob:",
+        "worker-src blob: data:",
+        "style-src 'unsafe-inline'",
+        "img-src data: blob:",
+        "font-src data:",
+        f"connect-src http://{host} ws://{host} data: blob:",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    ])  # fmt: skip
