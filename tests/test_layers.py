@@ -14,6 +14,9 @@ ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files"
          "backbones", "model", "semantics", "objectives", "refinement", "scene", "webpage",
          "formats", "evaluation", "training", "baselines", "viewer", "cli"]  # fmt: skip
 
+FOR_PEOPLE = {"scene/scene.py": {"viewer"}}
+"""Imported late by a method that only people call: `scene.view()`."""
+
 
 def imported_modules(tree: ast.AST, package: str) -> set[str]:
     """Full names of what a file of this package imports, one for each name behind `from`."""
@@ -59,6 +62,7 @@ def test_imports_point_back():
         found = imported_layers(ast.parse(path.read_text()), package)
         unknown = found - set(ORDER)
         assert not unknown, f"{path.relative_to(ROOT)} imports {unknown}, which ORDER does not have"
+        found -= FOR_PEOPLE.get(path.relative_to(ROOT).as_posix(), set())
         later = [name for name in found if ORDER.index(name) > ORDER.index(layer)]
         assert not later, f"{path.relative_to(ROOT)} imports {later}, which come after {layer}"
 

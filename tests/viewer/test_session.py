@@ -53,6 +53,9 @@ def test_the_list_selects_by_any_name(session: Session):
     session.select("object#3")
     session.select(1, add=True)
     assert ids(session) == [1, 3]
+    session.toggle(1)
+    assert ids(session) == [3]
+    session.toggle("object#1")
     with pytest.raises(KeyError, match="no object 7"):
         session.select(7)
     assert ids(session) == [1, 3]

@@ -21,6 +21,7 @@ COMMANDS = {
     "info": "what is in a scene",
     "objects": "the objects of a scene as data",
     "edit": "objects removed, moved, inserted, merged; undo and redo",
+    "view": "a scene in the browser, to look at and to edit",
     "render": "pictures or a film of a scene",
     "export": "a scene as files that other programs open",
     "import": "a scene from a file of Gaussians",

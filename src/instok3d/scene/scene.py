@@ -1,8 +1,10 @@
 """A reconstructed scene: its objects, and pictures of them from anywhere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Int
@@ -20,6 +22,10 @@ from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.types import Cameras, Gaussians, Rendering
 
+if TYPE_CHECKING:
+    from instok3d.viewer.app import Viewer
+
+NONE: Mapping[str, "Scene"] = MappingProxyType({})
 MAP_BYTES = 10
 """Peak memory for each pixel and group of a view's id map, measured with 40 groups."""
 
@@ -47,6 +53,22 @@ class Scene(EditableScene):
         from instok3d.scene.notebook import scene_html  # it draws scenes, so it imports this file
 
         return scene_html(self)
+
+    def view(self, *, port: int = 0, others: Mapping[str, "Scene"] = NONE) -> "Viewer":
+        """Show the scene in the browser, on this machine alone; returns at once.
+
+        Edits that are made there are in the scene of what is returned; this one stays.
+
+        Args:
+            port: The first free one from this on is taken; 0 takes any.
+            others: Scenes whose objects can be inserted, by name.
+
+        Raises:
+            ModuleNotFoundError: viser is not installed.
+        """
+        from instok3d.viewer.app import view  # a later layer, which only people reach from here
+
+        return view(self, port=port, others=others)
 
     def object(self, which: int | str) -> SceneObject:
         """The object of an id, a key such as "object#3", or a label.

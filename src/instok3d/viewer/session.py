@@ -75,6 +75,11 @@ class Session:
         return tuple(item for item in shown.scene.objects if item.id in shown.selected)
 
     @property
+    def has_folder(self) -> bool:
+        """Whether the scene came from a folder."""
+        return self._folder is not None
+
+    @property
     def can_undo(self) -> bool:
         """Whether an edit is there to be undone."""
         history = self.scene.history
@@ -96,6 +101,16 @@ class Session:
             ids = {self.scene.object(which).id for which in objects}
             before = self._shown.selected if add else frozenset()
             self._shown = replace(self._shown, selected=before | ids)
+
+    def toggle(self, which: int | str) -> None:
+        """Select an object besides those that are, or no longer.
+
+        Raises:
+            KeyError: The scene has no such object.
+        """
+        with self._lock:
+            selected = self._shown.selected ^ {self.scene.object(which).id}
+            self._shown = replace(self._shown, selected=selected)
 
     def click(
         self,

@@ -167,20 +167,30 @@ def _view(places: Places, index: int) -> dict[str, Any]:
 
 
 def _object(scene: Scene, item: SceneObject) -> dict[str, Any]:
-    picture = object_picture(scene, item)
-    if item.best_view is not None:
-        x0, y0, x1, y1 = item.best_view.bbox
-        picture = picture[y0:y1, x0:x1]
-    size = " x ".join(f"{length:.2g}" for length in item.obb.size)
     return {
         "id": item.id,
         "key": item.key,
         "color": item.color,
         "centroid": list(item.centroid),
         "gaussian_range": list(item.gaussian_range),
-        "size": size + (" m" if scene.units == "metres" else ""),
-        "picture": _jpeg(picture, THUMBNAIL),
+        "size": size_words(scene, item),
+        "picture": thumbnail(scene, item),
     }
+
+
+def size_words(scene: Scene, item: SceneObject) -> str:
+    """The lengths of an object's box, in words."""
+    size = " x ".join(f"{length:.2g}" for length in item.obb.size)
+    return size + (" m" if scene.units == "metres" else "")
+
+
+def thumbnail(scene: Scene, item: SceneObject) -> str:
+    """A small picture of an object alone as a data address."""
+    picture = object_picture(scene, item)
+    if item.best_view is not None:
+        x0, y0, x1, y1 = item.best_view.bbox
+        picture = picture[y0:y1, x0:x1]
+    return _jpeg(picture, THUMBNAIL)
 
 
 def _distance(scene: Scene, cameras: Cameras) -> float:
