@@ -47,6 +47,7 @@ class Picture:
         self.with_gizmo = False
         server.scene.set_up_direction(shown.scene.vertical.up)
         server.scene.world_axes.visible = False
+        server.scene.configure_environment_map(None)  # splats need no light; loading it dims them
         server.scene.set_background_image(np.zeros((1, 1, 3), np.uint8), format="png")
         self._photos = self._add_photos(stand_at)
         self.show(shown)
