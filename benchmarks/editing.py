@@ -2,8 +2,8 @@
 
     python benchmarks/editing.py [--gaussians N] [--views N] [--repeats N]
 
-The scene is made of clusters of Gaussians at random; times are medians in milliseconds. The goals
-are 20 ms for remove and move, and 1 s for remove with claim.
+The scene is made of clusters of Gaussians at random above a floor; times are medians in
+milliseconds. The goals are 20 ms for remove and move, and 1 s for remove with claim and fill.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
 from instok3d.types import Gaussians
 
-OBJECTS, SIDE = 40, 128
+OBJECTS, SIDE, REMOVED = 40, 128, 7
 
 
 def made_scene(count: int, num_views: int) -> Scene:
@@ -30,11 +30,25 @@ def made_scene(count: int, num_views: int) -> Scene:
     generator = torch.Generator().manual_seed(0)
     ids = torch.arange(count) * OBJECTS // count + 1
     centers = 4 * torch.rand(OBJECTS + 1, 3, generator=generator)
+    centers[REMOVED] = torch.tensor([2.0, 4.2, 2.0])
+    means = centers[ids] + 0.2 * torch.randn(count, 3, generator=generator)
+    quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
+    scales = 0.01 + 0.04 * torch.rand(count, 3, generator=generator)
+    opacities = torch.rand(count, generator=generator)
+    # A floor with a hole below the removed object, to be filled.
+    floor, place = (
+        slice(count - count // 8, count),
+        8 * torch.rand(count // 8, 2, generator=generator) - 2,
+    )
+    place[(place - 2).norm(dim=1) < 0.8] = torch.tensor([-2.0, -2.0])
+    means[floor] = torch.stack([place[:, 0], torch.full_like(place[:, 0], 4.5), place[:, 1]], dim=1)
+    quats[floor], scales[floor] = torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.2, 0.01, 0.2])
+    opacities[floor], ids[floor] = 0.95, OBJECTS
     gaussians = Gaussians(
-        means=centers[ids] + 0.2 * torch.randn(count, 3, generator=generator),
-        quats=torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1),
-        scales=0.01 + 0.04 * torch.rand(count, 3, generator=generator),
-        opacities=torch.rand(count, generator=generator),
+        means=means,
+        quats=quats,
+        scales=scales,
+        opacities=opacities,
         sh=torch.randn(count, 9, 3, generator=generator),
         anchor_index=torch.zeros(count, dtype=torch.long),
     )
@@ -69,8 +83,8 @@ def main() -> int:
     fresh = made_scene(options.gaussians, options.views)
     scene = fresh.hide(1)  # as a scene that was loaded: its source's hash is known
     jobs: dict[str, Callable[[], object]] = {
-        "remove": lambda: scene.remove(7),
-        "remove, first edit of a new scene": lambda: fresh.remove(7),
+        "remove": lambda: scene.remove(REMOVED),
+        "remove, first edit of a new scene": lambda: fresh.remove(REMOVED),
         "move": lambda: scene.move(7, (0.1, 0, 0)),
         "move, turned and scaled": lambda: scene.move(7, (0.1, 0, 0), yaw=30, scale=1.1),
         "duplicate": lambda: scene.duplicate(7, (0.1, 0, 0)),
@@ -78,10 +92,13 @@ def main() -> int:
         "recolor": lambda: scene.recolor(7, "red"),
         "merge": lambda: scene.merge(7, 8),
         "hide": lambda: scene.hide(7),
-        "undo of one of two edits": lambda: scene.remove(7).undo(),
-        f"remove with claim, {options.views} views": lambda: scene.remove(7, claim=True),
+        "undo of one of two edits": lambda: scene.remove(REMOVED).undo(),
+        f"remove with claim, {options.views} views": lambda: scene.remove(REMOVED, claim=True),
+        f"remove with claim and fill, {options.views} views": lambda: scene.remove(
+            REMOVED, claim=True, fill="plane"
+        ),
         f"where objects are seen, {options.views} views": lambda: (
-            scene.remove(7).object(8).visible_in
+            scene.remove(REMOVED).object(8).visible_in
         ),
     }
     print(f"{options.gaussians:,} Gaussians, {torch.get_num_threads()} threads")

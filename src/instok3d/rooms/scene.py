@@ -54,7 +54,7 @@ def render_scene(
         renderer.render(camera, pose, resolution, resolution, streams.child("samples", i))
         for i, pose in enumerate(path.poses)
     ]
-    images, exposure = _develop(room, frames, streams)
+    images, exposure = developed_frames(room, frames, streams, metered=frames)
     instances = np.stack([f.instances for f in frames])
     records = attributes(room.plan.placed, room.mesh)
     pixels = np.stack([np.bincount(i.ravel(), minlength=len(records) + 1) for i in instances], 1)
@@ -79,19 +79,33 @@ def render_scene(
     )
 
 
-def _develop(room: Room, frames: list[Frame], streams: Streams) -> tuple[np.ndarray, float]:
-    """Pictures with one exposure for the scene, drifting in hard rooms, and a sensor's faults."""
+def developed_frames(
+    room: Room, frames: list[Frame], streams: Streams, *, metered: list[Frame]
+) -> tuple[UInt8[np.ndarray, "frame height width 3"], float]:
+    """Pictures with one exposure for the scene, drifting in hard rooms, and a sensor's faults.
+
+    Args:
+        room: That the frames show.
+        frames: What is developed.
+        streams: Of the room's seed.
+        metered: The frames that the exposure is found by: the same ones, or those of the room
+            before something in it was changed.
+
+    Returns:
+        The pictures, and the exposure before any drift.
+    """
     rng, level = streams.child("exposure"), room.level
     radiance, contrast = [f.radiance for f in frames], 0.0
+    light = [f.radiance for f in metered]
     if level.white_balance:
         gains = white_balance(room, rng)
-        radiance = [r * gains for r in radiance]
+        radiance, light = ([r * gains for r in each] for each in (radiance, light))
     if level.mean_luma:
         contrast = float(rng.uniform(*level.contrast))
-        coarse = np.stack([r[::4, ::4] for r in radiance])
+        coarse = np.stack([r[::4, ::4] for r in light])
         exposure = exposure_for(coarse, float(rng.triangular(*level.mean_luma)), contrast)
     else:
-        exposure = mean_exposure(frames) * 2 ** float(rng.uniform(*level.exposure_stops))
+        exposure = mean_exposure(metered) * 2 ** float(rng.uniform(*level.exposure_stops))
     phase, speed = rng.uniform(0, 2 * np.pi), rng.uniform(0.15, 0.5)
     drift = level.drift_stops * np.sin(phase + speed * np.arange(len(frames)))
     images = [
