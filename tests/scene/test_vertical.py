@@ -7,13 +7,15 @@ import pytest
 import torch
 
 import instok3d
+from instok3d.cli import main
+from instok3d.cli.info import axes
 from instok3d.formats.statements import scene_comments
 from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.geometry.registration import skew
 from instok3d.photos.camera_files import read_cameras
 from instok3d.scene.paths import look_at, orbit
 from instok3d.scene.scene import Scene
-from instok3d.scene.vertical import STATED, Vertical, find_vertical
+from instok3d.scene.vertical import STATED, Vertical, find_vertical, given_up
 from made_scene import made_scene, made_tokens
 
 DOWN = torch.tensor([0.0, 0.0, -1.0])
@@ -146,3 +148,64 @@ def test_an_orbit_stands_upright_where_the_middle_photo_does_not():
     assert float((right @ DOWN).abs().max()) < 0.02
     # The photo itself leans by 8 degrees.
     assert abs(float(scene.cameras.cam_from_world[2, 0, :3] @ DOWN)) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("said", "up"),
+    [
+        ("z", (0, 0, 1)),
+        ("-y", (0, -1, 0)),
+        (["+X"], (1, 0, 0)),
+        (["0", "-2", "0"], (0, -1, 0)),
+        ("0, 3, 4", (0, 0.6, 0.8)),
+        ((0.0, 0.0, -7.0), (0, 0, -1)),
+    ],
+)
+def test_up_is_stated_as_an_axis_or_as_numbers(said: str | list, up: tuple):
+    found = given_up(said)
+    assert found.up == pytest.approx(up)
+    assert (found.source, found.confidence, found.is_stated) == ("given", 1.0, True)
+
+
+@pytest.mark.parametrize("said", ["", "w", "zz", "0 0 0", "1 2", ["1", "2", "x"], "nan 0 1", "--z"])
+def test_what_is_no_direction_is_refused(said: str | list):
+    with pytest.raises(ValueError, match="up must be an axis such as z or -y"):
+        given_up(said)
+
+
+def test_another_up_is_an_edit_that_turns_orbits_and_exports_use(tmp_path: Path):
+    scene = made_scene(made_tokens())
+    upright = scene.with_up("z")
+    assert upright.vertical.up == (0, 0, 1)
+    assert upright.edits == ("up is (0, 0, 1)",)
+    assert "Vertical axis: 0 0 1" in scene_comments(upright)
+    assert "up is (0, 0, 1) as it was given" in axes(upright)
+    # Turned about z, an object keeps its z.
+    turned_ = upright.move(1, yaw=90)
+    before, after = (each.object(1).obb.center for each in (scene, turned_))
+    assert after[2] == pytest.approx(before[2], abs=1e-5)
+    assert scene.move(1, yaw=90).object(1).obb.center[1] == pytest.approx(before[1], abs=1e-5)
+    # An orbit's pictures stand upright: up is drawn upwards.
+    for view in orbit(scene.with_up("x"), 3).cam_from_world:
+        assert float(view[:3, :3] @ torch.tensor([1.0, 0, 0]) @ torch.tensor([0.0, -1, 0])) > 0.5
+    upright.save(tmp_path / "room.itk")
+    loaded = instok3d.load(tmp_path / "room.itk")
+    assert loaded.vertical == upright.vertical
+    assert loaded.undo().vertical == scene.vertical
+
+
+def test_the_commands_take_another_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    room = tmp_path / "room.itk"
+    made_scene(made_tokens()).save(room)
+    assert main(["objects", str(room), "--json", "--up", "z"]) == 0
+    assert json.loads(capsys.readouterr().out)["up"] == [0, 0, 1]
+    assert main(["export", str(room), "-o", str(tmp_path / "a.ply"), "--up", "0", "0", "-1"]) == 0
+    assert b"Vertical axis: 0 0 -1" in (tmp_path / "a.ply").read_bytes()[:2000]
+    line = ["render", str(room), "-o", str(tmp_path / "a.png"), "--path", "orbit", "--frames", "2"]
+    assert main([*line, "--up=-x"]) == 0
+    assert main([*line, "--up", "w", "--overwrite"]) == 2
+    assert "up must be an axis" in capsys.readouterr().err
+    assert instok3d.load(room).vertical.source == "first camera"
+    assert main(["edit", str(room), "up", "--direction=-z"]) == 0
+    assert instok3d.load(room).vertical.up == (0, 0, -1)
+    assert main(["edit", str(room), "up"]) == 2

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 Operation = Literal[
     "remove", "only", "move", "rotate", "scale", "insert", "duplicate", "recolor", "merge",
-    "split", "rename", "hide", "show", "undo", "redo", "log",
+    "split", "rename", "hide", "show", "up", "undo", "redo", "log",
 ]  # fmt: skip
 Place = tuple[float, float, float]
 
@@ -37,6 +37,8 @@ class Options:
     """split: lowest x y z and highest x y z of what becomes a new object."""
     claim: bool | None = None
     """remove: take the halo at the rim of the object along (yes, unless False is given)."""
+    direction: tuple[str, ...] | None = None
+    """up: an axis such as z (-y: --direction=-y), or x y z."""
     fill: Literal["plane"] | None = None
     """remove: extend floors, walls and table tops into the hole, and say that it is invented."""
 
@@ -45,8 +47,10 @@ TAKES: dict[str, tuple[str, ...]] = {
     "remove": ("claim", "fill"), "move": ("by", "yaw", "factor"), "rotate": ("yaw",),
     "scale": ("factor",), "insert": ("at", "on", "yaw", "factor"),
     "duplicate": ("by", "yaw", "factor"), "recolor": ("color",), "split": ("box",),
+    "up": ("direction",),
 }  # fmt: skip
-NEEDS = {"rotate": "yaw", "scale": "factor", "duplicate": "by", "recolor": "color"}
+NEEDS = {"rotate": "yaw", "scale": "factor", "duplicate": "by", "recolor": "color",
+         "up": "direction"}  # fmt: skip
 
 
 def run(
@@ -64,7 +68,8 @@ def run(
     """Edit objects of a scene; the source stays, and every edit can be undone.
 
     Objects are named by id, key (chair#3) or label; of another scene as other.itk:7. rename takes
-    an object and its new label. log prints what was done.
+    an object and its new label; up changes what turns, orbits and exports take for it. log prints
+    what was done.
 
     Args:
         scene: A scene folder; its log grows unless --output is given.
@@ -126,7 +131,7 @@ def check_arguments(operation: str, objects: tuple[str, ...], options: Options) 
     if operation == "move" and (options.by, options.yaw, options.factor) == (None, None, None):
         raise ValueError("move needs --by, --yaw or --factor")
     many = operation in ("remove", "only", "merge", "hide", "show")
-    wanted = 0 if operation in ("undo", "redo", "log") else 2 if operation == "rename" else 1
+    wanted = 0 if operation in ("up", "undo", "redo", "log") else 2 if operation == "rename" else 1
     if len(objects) < wanted or (len(objects) > wanted and not many):
         what = {0: "no objects", 1: "one object", 2: "an object and a label"}[wanted]
         what = "at least one object" if many else what
@@ -161,6 +166,7 @@ def edit(
         "rename": lambda: scene.rename(named[0], objects[1]),
         "hide": lambda: scene.hide(*named),
         "show": lambda: scene.show(*named),
+        "up": lambda: scene.with_up(options.direction or ""),
         "undo": scene.undo,
         "redo": scene.redo,
     }

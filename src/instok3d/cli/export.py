@@ -15,6 +15,7 @@ def run(
     sh: Literal[0, 1, 2, 3] = 3,
     only: str | None = None,
     with_ids: bool = False,
+    up: tuple[str, ...] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a scene for other programs; docs/formats.md says what each format keeps.
@@ -36,14 +37,15 @@ def run(
             degree 0 and 3.
         only: Id or key of one object to write alone.
         with_ids: Add a last column object_id (0: no object) to a PLY; some viewers refuse it.
+        up: An axis such as z (-y: --up=-y), or x y z: up for this command. `instok3d edit SCENE up`
+            sets it for good.
         overwrite: Replace files that are already there.
     """
-    from instok3d.cli.targets import check_target, object_name
+    from instok3d.cli.targets import check_target, load_scene, object_name
     from instok3d.formats.layouts import check_layout, write_layout
     from instok3d.formats.object_folder import write_object_folder
     from instok3d.formats.parts import only_objects
     from instok3d.formats.registry import ExportOptions, export_scene, format_of
-    from instok3d.scene.scene import Scene
 
     if output is None and per_object is None:
         raise ValueError("nothing to write: give a file with -o, or a folder with --per-object")
@@ -56,7 +58,7 @@ def run(
         check_target(output, overwrite=overwrite, folder=folder)
     if per_object is not None:
         check_target(per_object, overwrite=overwrite, folder=True)
-    whole = Scene.load(scene)
+    whole = load_scene(scene, up)
     loaded = whole.drawn() if only is None else only_objects(whole, [object_name(only)])
     options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
     if format is not None and output is not None:

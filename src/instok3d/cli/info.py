@@ -120,14 +120,16 @@ def axes(scene: "Scene") -> str:
     """The axes of the world, and which way is up as far as that is known."""
     vertical = scene.vertical
     certainty = f"within 15 degrees with probability {vertical.confidence:.2f}"
+    up = ", ".join(f"{value:.3g}" for value in vertical.up)
+    if vertical.source == "given":
+        own = "x right, y down, z forward" if scene.frame == "first camera" else "with its axes"
+        return f"{own}; up is ({up}) as it was given"
     if scene.frame == "first camera":
         return f"x right, y down, z forward; -y is up {certainty}"
     if scene.frame == "file":
-        up = ", ".join(f"{value:.3g}" for value in vertical.up)
         return f"with its axes; up is ({up}) {'as it says' * vertical.is_stated or 'by a guess'}"
     if not vertical.is_stated:
         return "with their axes; the cameras do not tell which way is up"
-    up = ", ".join(f"{value:.3g}" for value in vertical.up)
     return f"with their axes; up is ({up}) by how they are turned, {certainty}"
 
 

@@ -11,6 +11,7 @@ def run(
     json: bool = False,
     csv: bool = False,
     scale: str = "none",
+    up: tuple[str, ...] | None = None,
 ) -> None:
     """Print the objects of a scene: names, boxes, sizes, and the views that show them.
 
@@ -20,14 +21,16 @@ def run(
         csv: Print a table; this is also what is printed when nothing is said.
         scale: known:OBJECT=HEIGHT gives lengths in metres by one known height in metres, such as
             known:3=0.74. Scenes with cameras in metres need none.
+        up: An axis such as z (-y: --up=-y), or x y z: up for this command. `instok3d edit SCENE up`
+            sets it for good.
     """
     from instok3d.cli.info import print_json
+    from instok3d.cli.targets import load_scene
     from instok3d.formats.objects import find_scale, objects_csv, objects_data
-    from instok3d.scene.scene import Scene
 
     if json and csv:
         raise ValueError("--json and --csv are two ways to print the same: give one of them")
-    loaded = Scene.load(scene)
+    loaded = load_scene(scene, up)
     found = find_scale(loaded, scale)
     if json:
         print_json(objects_data(loaded, found))

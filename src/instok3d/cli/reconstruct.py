@@ -19,6 +19,7 @@ def run(
         "nano", "da3-small", "da3-base", "vggt-1b", "colmap", "given", "auto"
     ] = "nano",
     allow_outside: bool = False,
+    up: tuple[str, ...] | None = None,
     model: Path | None = None,
     refine: int | None = None,
     keep_interrupted: bool = False,
@@ -42,6 +43,8 @@ def run(
             (colmap, which needs `pip install 'instok3d[sfm]'`), --cameras alone (given), or the
             best network that is on this machine (auto).
         allow_outside: Open photos and depth that the camera file names outside of its folder.
+        up: Which way is up in the scene's world, if its estimate is wrong: an axis such as z (-y:
+            --up=-y), or x y z.
         model: A model file instead of the default model.
         refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the
             model's single pass gives them. None takes the default.
@@ -58,7 +61,7 @@ def run(
         raise ValueError("no photos were named: give a folder, files, a pattern or a video")
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
-        geometry=geometry, allow_outside=allow_outside, model=model, refine=refine,
+        geometry=geometry, allow_outside=allow_outside, up=up, model=model, refine=refine,
         keep_interrupted=keep_interrupted, max_views=max_views, seed=seed, device=device,
         overwrite=overwrite, json=json, timings=timings,
     )  # fmt: skip
@@ -71,6 +74,7 @@ def make_scene(
     cameras: Path | None = None,
     geometry: str = "nano",
     allow_outside: bool = False,
+    up: tuple[str, ...] | None = None,
     model: Path | None = None,
     refine: int | None = None,
     keep_interrupted: bool = False,
@@ -97,7 +101,7 @@ def make_scene(
         check_target(output, overwrite=overwrite)
         with plain_warnings(), asked_to_stop(when=keep_interrupted) as stop:
             scene = reconstruct(
-                photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside,
+                photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside, up=up,
                 model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
                 max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip

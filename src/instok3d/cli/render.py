@@ -29,6 +29,7 @@ def run(
     only: str | None = None,
     ids: bool = False,
     holes: bool = False,
+    up: tuple[str, ...] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Render a scene along a path of cameras.
@@ -48,12 +49,13 @@ def run(
         ids: Also write which object each pixel shows: NNN_ids.png with the ids in a folder, the
             objects' display colours below the pictures of a .png and instead of those of an .mp4.
         holes: Hatch in magenta where the picture showed what was removed and shows nothing now.
+        up: An axis such as z (-y: --up=-y), or x y z: up for this command. `instok3d edit SCENE up`
+            sets it for good.
         overwrite: Replace files that are already there.
     """
     from instok3d.cli.progress import plain_warnings
-    from instok3d.cli.targets import check_file, object_name
+    from instok3d.cli.targets import check_file, load_scene, object_name
     from instok3d.scene.paths import camera_path
-    from instok3d.scene.scene import Scene
 
     if output.suffix:
         check_file(output, overwrite=overwrite, endings=PICTURES + FILMS)
@@ -63,7 +65,7 @@ def run(
         raise ValueError(f"fps must be at least 1, got {fps}")
     if holes and only is not None:
         raise ValueError("--holes marks what is missing from the whole picture: leave out --only")
-    loaded = Scene.load(scene)
+    loaded = load_scene(scene, up)
     with plain_warnings():
         way = fit_to_file(camera_path(loaded, path, frames, height, width), output, ids=ids)
     drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is

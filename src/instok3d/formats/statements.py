@@ -24,6 +24,8 @@ def scene_comments(scene: Scene, *, sorted_by_object: bool = True) -> tuple[str,
     up = " ".join(f"{value:.4g}" for value in vertical.up)
     if scene.frame == "first camera":
         world += ", OpenCV axes (x right, y down, z forward)"
+    elif vertical.source == "given":
+        world += ", their axes; up as it was given"
     elif vertical.is_stated:
         world += f", their axes; up estimated, confidence {vertical.confidence:.2f}"
     else:

@@ -151,7 +151,8 @@ def around(gaussians: Gaussians, up: Direction, height: int, width: int, frames:
 def _down(scene: Scene, cam_from_world: Float[Tensor, "4 4"]) -> Float[Tensor, " 3"]:
     """What shall point down in pictures from about a camera, in its frame."""
     down = cam_from_world[:3, :3] @ -torch.tensor(scene.vertical.up)
-    known = scene.vertical.source == "given cameras" and scene.vertical.is_stated
+    source = scene.vertical.source
+    known = source in ("given cameras", "given") and scene.vertical.is_stated
     if known and abs(float(down[2])) < STEEPEST:
         return down
     return torch.tensor([0.0, 1.0, 0.0])

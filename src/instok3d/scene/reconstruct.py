@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -23,6 +24,7 @@ from instok3d.scene.geometry_source import GeometrySource, find_source
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
 from instok3d.scene.scene import Scene
+from instok3d.scene.vertical import given_up
 from instok3d.version import generator
 
 TRAINED_ON_ROOMS = (
@@ -43,6 +45,7 @@ def reconstruct(
     cameras: str | Path | None = None,
     geometry: str | GeometryBackbone = "nano",
     allow_outside: bool = False,
+    up: str | Sequence[str | float] | None = None,
     model: str | Path | Tokenizer | None = None,
     seed: int = 0,
     refine: int = DEFAULT_STEPS,
@@ -74,6 +77,8 @@ def reconstruct(
             points. "given": as "nano", but without cameras refused. "auto": what is given, else
             the best network whose weights are on this machine; a note says which. Or a backbone.
         allow_outside: Let the camera file name photos and depth outside of its folder.
+        up: Which way is up in the scene's world, an axis such as "z" or three numbers; None
+            estimates it.
         model: A model file, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
         refine: Steps of refinement at the size that the model sees; 0 for none. `instok3d.refine`
@@ -98,6 +103,7 @@ def reconstruct(
     device = _checked_device(device)
     if not 0 <= seed < 2**63:
         raise ValueError(f"seed must lie in 0..2^63 - 1, got {seed}")
+    vertical = None if up is None else given_up(up)
     source, choice_notes = find_source(geometry, posed=cameras is not None)
     begin("photos")
     in_memory = isinstance(model, Tokenizer)
@@ -149,6 +155,8 @@ def reconstruct(
         units=photo_set.units,
         notes=[*notes, *photo_set.warnings, *checked.notes],
     )
+    if vertical is not None:
+        scene = replace(scene, vertical=vertical)
     if refine:
         begin("refinement")
         scene = refined(scene, refinement, progress=progress, stop=stop)

@@ -1,6 +1,7 @@
 """Which way is up in a scene's world, and how sure that is."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,6 +23,8 @@ SNAP_RAD = math.radians(20.0)
 UPRIGHT = 0.3
 """Mean cosine between up and the images' up below which the sign of up is in doubt, as of cameras
 that look straight down."""
+SOURCES = ("first camera", "given cameras", "file", "given")
+AXES = "xyz"
 STATED = 0.5
 """A direction is stated where it is more likely than not to be within NEAR_RAD of the true one."""
 
@@ -32,10 +35,10 @@ class Vertical:
 
     up: Direction
     """Unit length."""
-    source: Literal["first camera", "given cameras", "file"]
+    source: Literal["first camera", "given cameras", "file", "given"]
     """first camera: its image-up direction, which is the world's -y, whatever was photographed.
     given cameras: estimated from how they are turned. file: as an imported file says, or guessed
-    with confidence 0 where it says nothing."""
+    with confidence 0 where it says nothing. given: a person said so."""
     confidence: float
     """Probability that it lies within NEAR_RAD of the true one, if people hold cameras level."""
 
@@ -48,11 +51,11 @@ class Vertical:
         """
         x, y, z = (float(number) for number in value["up"])
         source, confidence = value["source"], float(value["confidence"])
-        known = source in ("first camera", "given cameras", "file")
+        known = source in SOURCES
         if not known or not 0.99 < math.hypot(x, y, z) < 1.01 or not 0 <= confidence <= 1:
             raise ValueError(
                 f"vertical is {value}; wanted up of length 1, a confidence in [0, 1] and as source "
-                "'first camera', 'given cameras' or 'file'"
+                f"one of {', '.join(SOURCES)}"
             )
         return Vertical((x, y, z), source, confidence)
 
@@ -60,6 +63,34 @@ class Vertical:
     def is_stated(self) -> bool:
         """Whether it is certain enough to be written for other programs."""
         return self.source == "first camera" or self.confidence >= STATED
+
+
+def given_up(direction: str | Sequence[str | float]) -> Vertical:
+    """The vertical that a person states.
+
+    Args:
+        direction: An axis, such as "z" or "-y", or three numbers of any length.
+
+    Raises:
+        ValueError: It is neither, or all three numbers are 0.
+    """
+    words = direction.replace(",", " ").split() if isinstance(direction, str) else list(direction)
+    if len(words) == 1 and isinstance(words[0], str):
+        sign, axis = (-1.0, words[0][1:]) if words[0][:1] == "-" else (1.0, words[0].lstrip("+"))
+        if len(axis) == 1 and axis.lower() in AXES:
+            words = [sign * (name == axis.lower()) for name in AXES]
+    try:
+        x, y, z = (float(word) for word in words)
+    except (TypeError, ValueError):
+        x = y = z = math.nan
+    length = math.hypot(x, y, z)
+    if not 0 < length < math.inf:
+        shown = direction if isinstance(direction, str) else " ".join(map(str, direction))
+        raise ValueError(
+            f"up must be an axis such as z or -y, or three numbers, not all 0, got {shown!r}"
+        )
+    # + 0.0: no negative zeros
+    return Vertical((x / length + 0.0, y / length + 0.0, z / length + 0.0), "given", 1.0)
 
 
 def find_vertical(

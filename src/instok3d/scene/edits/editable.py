@@ -27,6 +27,7 @@ from instok3d.scene.edits.operations import (
     Rename,
     Show,
     Split,
+    Up,
     carried,
     object_of,
 )
@@ -43,6 +44,7 @@ from instok3d.scene.files import gaussians_sha256
 from instok3d.scene.objects import SceneObject, check_label
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.vertical import given_up
 
 AnyScene = TypeVar("AnyScene", bound="EditableScene")
 Which = int | str
@@ -280,6 +282,17 @@ class EditableScene(SceneRecord):
             KeyError: The scene has no such object.
         """
         return self._edited(Show(self._ids(objects)))
+
+    def with_up(self: AnyScene, direction: str | Sequence[str | Number]) -> AnyScene:
+        """The scene with another up, for turns, orbits and exports; nothing in it moves.
+
+        Args:
+            direction: An axis, such as "z" or "-y", or three numbers.
+
+        Raises:
+            ValueError: It is neither.
+        """
+        return self._edited(Up(given_up(direction).up))
 
     def undo(self: AnyScene) -> AnyScene:
         """The scene before the last edit, bit for bit.

@@ -26,6 +26,7 @@ from instok3d.scene.edits.ownership import Part
 from instok3d.scene.objects import check_label
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.vertical import given_up
 from instok3d.types import Gaussians, check_gaussians
 
 LOG, ASSETS = "edits.jsonl", "edits"
@@ -299,6 +300,7 @@ KINDS: dict[str, Kind] = {
         "scale": value.scale,
     }),
     "color": _plain(lambda value: color([number(each) for each in value]), list),
+    "direction": _plain(lambda value: given_up([number(each) for each in value]).up, list),
     "text": _plain(text),
     "label": _plain(lambda value: None if value is None else check_label(text(value))),
     "share": _plain(_share),

@@ -36,6 +36,7 @@ from instok3d.scene.objects import (
 )
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.vertical import given_up
 from instok3d.types import Gaussians, check_gaussians
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -300,10 +301,25 @@ class Show:
         return f"show {_keys(scene, self.objects)}"
 
 
+@dataclass(frozen=True)
+class Up:
+    """Another direction is up."""
+
+    name: ClassVar[str] = "up"
+    direction: Annotated[tuple[float, float, float], "direction"]
+    """Unit length."""
+
+    def apply(self, scene: SceneRecord) -> SceneRecord:
+        return replace(scene, vertical=given_up(self.direction))
+
+    def words(self, scene: SceneRecord) -> str:
+        return f"up is ({', '.join(f'{value:.4g}' for value in self.direction)})"
+
+
 OPERATIONS: dict[str, type[Edit]] = {
     kind.name: kind
     for kind in (
-        Remove, Only, Move, Duplicate, Insert, Recolor, Merge, Split, Rename, Hide, Show
+        Remove, Only, Move, Duplicate, Insert, Recolor, Merge, Split, Rename, Hide, Show, Up
     )
 }  # fmt: skip
 """By the name that stands in a log."""
