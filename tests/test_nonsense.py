@@ -276,7 +276,7 @@ def test_photos_in_floating_point_that_cannot_be(tmp_path: Path, nonsense: str):
 NUMBERS = {
     "scene.json": [("near_far", 0), ("vertical", "confidence"), ("height",)],
     "cameras.json": [(0, "pixel_map", "scale_x"), (0, "pixel_map", "offset_y")],
-    "objects.json": [(0, "obb", "center", 0), (0, "aabb", "min", 1)],
+    "objects.json": [("objects", 0, "obb", "center", 0), ("objects", 0, "aabb", "min", 1)],
 }
 
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from imported_scene import imported_scene
 from instok3d.cli import main
-from instok3d.formats.objects import SCHEMA, find_scale, height_of, objects_csv, objects_data
+from instok3d.formats.objects import find_scale, objects_csv
+from instok3d.scene.object_list import SCHEMA, objects_document
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import Vertical
 from made_scene import made_empty_scene, made_scene, made_tokens
@@ -35,7 +37,7 @@ def filled(mask: dict) -> np.ndarray:
 
 
 def test_the_data_follow_the_schema_and_the_scene(scene: Scene):
-    data = objects_data(scene.rename(3, "blue blob"))
+    data = objects_document(scene.rename(3, "blue blob"))
     check(data)
     assert [item["id"] for item in data["objects"]] == [1, 3]
     assert (data["units"], data["metres_per_scene_unit"], data["edits"]) == ("arbitrary", None, 1)
@@ -47,6 +49,8 @@ def test_the_data_follow_the_schema_and_the_scene(scene: Scene):
     assert ids is not None
     for item in data["objects"]:
         assert [each["view"] for each in item["seen"]] == list(scene.object(item["id"]).visible_in)
+        best = max(item["seen"], key=lambda each: each["pixels"])
+        assert item["best_view"] == {key: best[key] for key in ("view", "pixels", "box")}
         for each in item["seen"]:
             mask = (ids[each["view"]] == item["id"]).numpy()
             assert (filled(each["mask"]) == mask).all()
@@ -56,19 +60,19 @@ def test_the_data_follow_the_schema_and_the_scene(scene: Scene):
 
 
 def test_no_objects_and_no_views_are_data_too(scene: Scene):
-    check(objects_data(made_empty_scene()))
+    check(objects_document(made_empty_scene()))
     assert objects_csv(made_empty_scene()).count("\n") == 1
-    bare = replace(scene, views=(), photos=scene.photos[:0], cameras=scene.cameras.views([]))
-    data = objects_data(bare)
+    data = objects_document(imported_scene())
     check(data)
-    assert [item["seen"] for item in data["objects"]] == [[], []]
+    assert [item["seen"] for item in data["objects"]] == [[], [], []]
+    assert data["views"] == []
 
 
 def test_a_known_height_makes_metres_of_all_lengths(scene: Scene):
-    before, height = objects_data(scene), height_of(scene, scene.object(1))
+    before, height = objects_document(scene), scene.object(1).height_along(scene.vertical.up)
     scale = find_scale(scene, "known:1=0.74")
     assert scale.metres_per_unit == pytest.approx(0.74 / height)
-    after = objects_data(scene, scale)
+    after = objects_document(scene, scale)
     check(after)
     assert after["units"] == "metres"
     assert after["scale_source"] == "known: object#1 is 0.74 m high"
@@ -84,7 +88,7 @@ def test_height_is_along_up_by_hand(scene: Scene):
     for axis, height in enumerate((3.0, 2.0, 1.0)):
         x, y, z = torch.eye(3)[axis].tolist()
         turned = replace(scene, vertical=Vertical((x, y, z), "given cameras", 1.0))
-        assert height_of(turned, item) == pytest.approx(height)
+        assert item.height_along(turned.vertical.up) == pytest.approx(height)
 
 
 @pytest.mark.parametrize(
@@ -119,3 +123,21 @@ def test_the_command_prints_a_table_or_json(
     assert data["units"] == "metres"
     assert main(["objects", str(room), "--json", "--csv"]) == 2
     assert "give one of them" in capsys.readouterr().err
+
+
+def test_a_scene_folder_holds_the_same_data_as_the_command_prints(
+    tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+):
+    room = tmp_path / "room.itk"
+    scene.save(room)
+    kept = json.loads((room / "objects.json").read_text())
+    check(kept)
+    assert main(["objects", str(room), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == kept
+    assert main(["info", str(room), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["objects"] == kept["objects"]
+
+
+def test_a_hidden_object_is_seen_as_if_it_was_not_hidden(scene: Scene):
+    hidden = objects_document(scene.hide(1))["objects"][0]
+    assert hidden == objects_document(scene)["objects"][0] | {"hidden": True}

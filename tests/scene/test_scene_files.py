@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from instok3d.scene import files
 from instok3d.scene.previews import save_with_previews
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.scene import Scene
+from instok3d.scene.versions import VERSION
 from kill_points import every_kill
 from made_scene import made_empty_scene, made_scene, made_tokens
 
@@ -52,7 +54,7 @@ def test_a_scene_folder_holds_what_it_promises(tmp_path: Path, scene: Scene):
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["room.itk"]
     header = json.loads((tmp_path / "room.itk/scene.json").read_text())
-    assert header["version"] == 3
+    assert header["version"] == VERSION
     assert header["inputs"] == {view.file: view.sha256 for view in scene.views}
     camera = json.loads((tmp_path / "room.itk/cameras.json").read_text())[1]
     # The second camera stands 0.1 to the right of the first, which is the world.
@@ -211,6 +213,11 @@ def flip_a_byte(folder: Path) -> None:
     (folder / "gaussians.safetensors").write_bytes(bytes(content))
 
 
+def damage_object(change: Callable[[Any], object]) -> Callable[[Path], None]:
+    """The first entry of objects.json changed."""
+    return damage_json("objects.json", lambda v: change(v["objects"][0]))
+
+
 DAMAGE: dict[str, Callable[[Path], object]] = {
     r"gaussians\.safetensors is damaged": flip_a_byte,
     r"tokens\.safetensors is damaged": lambda f: (f / "tokens.safetensors").write_bytes(
@@ -218,7 +225,7 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     ),
     r"objects\.json is damaged": lambda f: (f / "objects.json").write_text("[{"),
     r"objects\.json is damaged.*UTF|codec": lambda f: (f / "objects.json").write_bytes(b"\xff\xfe"),
-    r"scene\.json: .*1 to 3, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
+    r"scene\.json: .*1 to 4, not 9": damage_json("scene.json", lambda v: v.update(version=9)),
     r"scene\.json is damaged .it lacks 'units'": damage_json(
         "scene.json", lambda v: v.pop("units")
     ),
@@ -233,12 +240,12 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     r"not 4 x 4": damage_json(
         "cameras.json", lambda v: [c.update(cam_from_world=[[1.0]]) for c in v]
     ),
-    r"cannot be": damage_json("objects.json", lambda v: v[0].update(gaussian_range=[0, 999])),
-    r"not distinct": damage_json("objects.json", lambda v: v[0].update(id=3)),
-    r"wanted 3 finite": damage_json("objects.json", lambda v: v[0].update(centroid=[1, 2])),
-    r"names a view": damage_json("objects.json", lambda v: v[0].update(visible_in=[7])),
+    r"cannot be": damage_object(lambda v: v.update(gaussian_range=[0, 999])),
+    r"not distinct": damage_object(lambda v: v.update(id=3)),
+    r"wanted 3 finite": damage_object(lambda v: v.update(centroid=[1, 2])),
+    r"names a view": damage_object(lambda v: v["seen"][0].update(view=7)),
     r"is damaged .a value in it is of another kind": damage_json(
-        "objects.json", lambda v: v.append(3)
+        "objects.json", lambda v: v["objects"].append(3)
     ),
     r"001\.png is damaged": lambda f: (f / "inputs/001.png").write_bytes(b"\x89PNG"),
 }
@@ -285,23 +292,35 @@ DAMAGE |= {
     "view 1 has the focal length -2": change_camera("intrinsics", 0, 0, -2.0),
     "view 1 has intrinsics with 3 below the diagonal": change_camera("intrinsics", 1, 0, 3.0),
     "the number NaN is not finite": change_camera("intrinsics", 0, 2, torch.nan),
-    "num_gaussians of 'object#1' is not that": damage_json(
-        "objects.json", lambda v: v[0].update(num_gaussians=3)
+    "num_gaussians of 'object#1' is not that": damage_object(
+        lambda v: v.update(num_gaussians=3)
     ),
-    r"'red' is no colour": damage_json("objects.json", lambda v: v[0].update(color="red")),
-    r"7 is no number in \[0, 1\]": damage_json("objects.json", lambda v: v[0].update(confidence=7)),
-    "is inside out": damage_json("objects.json", lambda v: v[0]["aabb"]["min"].__setitem__(0, 9)),
-    r"the box has the size \(-1": damage_json(
-        "objects.json", lambda v: v[0]["obb"]["size"].__setitem__(0, -1)
+    r"'red' is no colour": damage_object(lambda v: v.update(color="red")),
+    r"7 is no number in \[0, 1\]": damage_object(lambda v: v.update(confidence=7)),
+    "is inside out": damage_object(lambda v: v["aabb"]["min"].__setitem__(0, 9)),
+    r"the box has the size \(-1": damage_object(
+        lambda v: v["obb"]["size"].__setitem__(0, -1)
     ),
-    "the quaternion .* is not of unit": damage_json(
-        "objects.json", lambda v: v[0]["obb"].update(quat_wxyz=[0, 0, 0, 0])
+    "the quaternion .* is not of unit": damage_object(
+        lambda v: v["obb"].update(quat_wxyz=[0, 0, 0, 0])
     ),
-    "the bbox of 'object#1' is not within": damage_json(
-        "objects.json", lambda v: v[0]["best_view"].update(bbox=[0, 0, 33, 2])
+    "the bbox of 'object#1' is not within": damage_object(
+        lambda v: v["best_view"].update(box=[0, 0, 33, 2])
     ),
-    "two objects have one key": damage_json("objects.json", lambda v: v[0].update(key="object#3")),
-    "True is no whole number": damage_json("objects.json", lambda v: v[0].update(num_anchors=True)),
+    "are no mask of 24 x 32": damage_object(
+        lambda v: v["seen"][0]["mask"].update(counts=[3, 4])
+    ),
+    "a mask of 'object#1' is not of 24 x 32": damage_object(lambda v: v["seen"][0].update(
+            mask={"size": [1, 9], "counts": [4, 5]}, pixels=5
+        ),
+    ),
+    "is said to have 9999": damage_object(
+        lambda v: v["seen"][0].update(pixels=9999)
+    ),
+    "reads objects of version 2, not 3": damage_json("objects.json", lambda v: v.update(version=3)),
+    "holds no list of objects": damage_json("objects.json", lambda v: v.update(objects={})),
+    "two objects have one key": damage_object(lambda v: v.update(key="object#3")),
+    "True is no whole number": damage_object(lambda v: v.update(num_anchors=True)),
     "its pixel_map is not to pictures": damage_json(
         "cameras.json", lambda v: v[0]["pixel_map"].update(width=31)
     ),

@@ -48,7 +48,7 @@ def summary(scene: "Scene") -> dict[str, Any]:
     """The scene in plain values, for --json."""
     return {
         "views": [view.file for view in scene.views],
-        "objects": [item.to_json() for item in scene.objects],
+        "objects": [item.to_json(scene.vertical.up) for item in scene.objects],
         "num_gaussians": len(scene.gaussians.means),
         "units": scene.units,
         "frame": scene.frame,

@@ -26,13 +26,14 @@ def run(
     """
     from instok3d.cli.info import print_json
     from instok3d.cli.targets import load_scene
-    from instok3d.formats.objects import find_scale, objects_csv, objects_data
+    from instok3d.formats.objects import find_scale, objects_csv
+    from instok3d.scene.object_list import objects_document
 
     if json and csv:
         raise ValueError("--json and --csv are two ways to print the same: give one of them")
     loaded = load_scene(scene, up)
     found = find_scale(loaded, scale)
     if json:
-        print_json(objects_data(loaded, found))
+        print_json(objects_document(loaded, found))
     else:
         print(objects_csv(loaded, found), end="")

@@ -38,8 +38,8 @@ def write_object_folder(folder: Path, scene: Scene, options: ExportOptions) -> N
             write_colliders_glb(part / f"{stem}_hull.glb", alone)
             Image.fromarray(object_picture(scene, item)).save(part / f"{stem}.png")
             files = {"ply": f"{stem}.ply", "hull": f"{stem}_hull.glb", "thumbnail": f"{stem}.png"}
-            entries.append({**replace(item, gaussian_range=(0, item.num_gaussians)).to_json(),
-                            "files": files})  # fmt: skip
+            own = replace(item, gaussian_range=(0, item.num_gaussians))
+            entries.append({**own.to_json(scene.vertical.up), "files": files})
         index: dict[str, Any] = {
             "format": FORMAT,
             "about": list(scene_comments(scene)),

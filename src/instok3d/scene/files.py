@@ -1,7 +1,7 @@
 """The scene folder (`room.itk`): JSON, safetensors and PNG, nothing that runs code when read.
 
 scene.json: version, units, frame, model, seed, hashes of the photos, warnings. cameras.json: a
-list, one entry a view. objects.json: a list, one entry an object. gaussians.safetensors and
+list, one entry a view. objects.json: the objects by a published schema. gaussians.safetensors and
 tokens.safetensors: the fields of `Gaussians` and `SceneTokens`, float32 (anchor_index int64).
 inputs/NNN.png: the photos as the model saw them. docs/formats.md has every field; what else lies
 in the folder, such as previews/, is not read.
@@ -35,7 +35,7 @@ from instok3d.locking import bring_back
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.pictures import save_png
 from instok3d.reading import naming_damage, number, one_of, open_png, read_json, text, whole_number
-from instok3d.scene.object_list import read_entries, read_objects
+from instok3d.scene.object_list import objects_document, read_entries, read_objects
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import (
     MAX_FAR,
@@ -46,6 +46,7 @@ from instok3d.scene.record import (
     SceneView,
     near_and_far,
 )
+from instok3d.scene.sight import looked_at_later
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
 from instok3d.scene.vertical import Vertical, find_vertical
 from instok3d.types import Cameras, Gaussians, check_gaussians
@@ -99,7 +100,7 @@ def save_record(
             stage = scene.gaussians if name.startswith("gaussians") else scene.tokens
             write_safetensors(part / name, vars(stage))
         _write_json(part / "cameras.json", _cameras_json(scene))
-        _write_json(part / "objects.json", [item.to_json() for item in scene.objects])
+        _write_json(part / "objects.json", objects_document(scene))
         digests = {name: sha256_of(part / name) for name in sorted(TENSOR_FILES)}
         _write_json(part / "scene.json", _scene_json(scene, digests) | {"edited": edited})
 
@@ -161,7 +162,7 @@ def load_record(path: Path) -> SceneRecord:
         about["near_far"] = near_and_far(gaussians, cameras)
     if about["vertical"] is None:
         about["vertical"] = find_vertical(cameras.cam_from_world, about["frame"])
-    return SceneRecord(
+    record = SceneRecord(
         **about,
         gaussians=gaussians,
         tokens=tokens,
@@ -170,6 +171,8 @@ def load_record(path: Path) -> SceneRecord:
         objects=objects,
         photos=_read_photos(path / header["inputs_folder"], len(views), height, width),
     )
+    whole = all(len(item.sight.masks) == len(item.visible_in) for item in objects)
+    return record if whole else looked_at_later(record)  # versions 1 to 3 kept no masks
 
 
 def read_digest(path: Path) -> tuple[str, int]:

@@ -1,10 +1,63 @@
-"""objects.json of a scene folder: read and checked against the scene's other files."""
+"""objects.json: the objects of a scene by a published schema, and read again in a scene folder."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from instok3d.reading import naming_damage, read_json
+from instok3d.reading import naming_damage, one_of, read_json, whole_number
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.record import SceneRecord
+
+FORMAT, VERSION = "instok3d-objects", 2
+SCHEMA = "objects.schema.json"
+"""JSON Schema of `objects_document`, in instok3d/assets."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How long a scene unit is."""
+
+    metres_per_unit: float | None = None
+    """None where nobody knows."""
+    source: str = "none"
+    """none, "given cameras", or "known: KEY is H m high"."""
+
+
+def own_scale(scene: SceneRecord) -> Scale:
+    """The scale that a scene knows itself."""
+    return Scale(1.0, "given cameras") if scene.units == "metres" else Scale()
+
+
+def objects_document(scene: SceneRecord, scale: Scale | None = None) -> dict[str, Any]:
+    """The objects in plain values, by the schema of `SCHEMA`.
+
+    Lengths are in metres where the scale is known, else in scene units. Masks are those of the
+    input views at the scene's size, as run lengths in COCO's order, as if no object was hidden.
+
+    Args:
+        scene: With any number of views.
+        scale: None takes what the scene knows itself.
+    """
+    scale, made = scale or own_scale(scene), scene.provenance
+    length = scale.metres_per_unit or 1.0
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "arbitrary" if scale.metres_per_unit is None else "metres",
+        "metres_per_scene_unit": scale.metres_per_unit,
+        "scale_source": scale.source,
+        "world": scene.frame,
+        "up": list(scene.vertical.up),
+        "up_confidence": scene.vertical.confidence,
+        "generator": made.generator,
+        "model": made.model,
+        "edits": len(made.edits),
+        "views": [
+            {"file": view.file, "height": scene.height, "width": scene.width}
+            for view in scene.views
+        ],
+        "objects": [item.to_json(scene.vertical.up, length=length) for item in scene.objects],
+    }
 
 
 def read_objects(
@@ -32,8 +85,11 @@ def read_objects(
         FileNotFoundError: There is no such file.
         ValueError: It is damaged, or does not fit the scene.
     """
-    entries = read_entries(file, remedy)
+    if not file.is_file():
+        raise FileNotFoundError(f"the scene is incomplete: {file} is missing")
+    value = read_json(file, remedy)
     with naming_damage(file, remedy):
+        entries = _entries(value, file)
         objects = tuple(SceneObject.from_json(entry) for entry in entries)
         ids = [item.id for item in objects]
         if len({item.key for item in objects}) != len(ids):
@@ -52,11 +108,30 @@ def read_objects(
     return objects
 
 
+def _entries(value: Any, file: Path) -> list[Any]:
+    """The list of the objects; scene folders of versions 1 to 3 hold nothing else."""
+    if isinstance(value, list):
+        return value
+    one_of(value["format"], (FORMAT,))
+    version = whole_number(value["version"], 1)
+    if version > VERSION:
+        raise ValueError(
+            f"{file}: this program reads objects of version {VERSION}, not {version}; use a newer "
+            "program"
+        )
+    if not isinstance(value["objects"], list):
+        raise ValueError("it holds no list of objects")
+    return value["objects"]
+
+
 def _check_sight(item: SceneObject, num_views: int, height: int, width: int) -> None:
     best = item.best_view
     named = item.visible_in if best is None else (*item.visible_in, best.view)
     if not all(0 <= view < num_views for view in named):
         raise ValueError(f"{item.key!r} names a view that is not there")
+    for mask in item.sight.masks:
+        if (mask.height, mask.width) != (height, width):
+            raise ValueError(f"a mask of {item.key!r} is not of {height} x {width}")
     if best is not None:
         x0, y0, x1, y1 = best.bbox
         if not (x0 < x1 <= width and y0 < y1 <= height):

@@ -4,7 +4,7 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from instok3d.geometry.rotations import matrix_to_quat, quat_to_matrix
 from instok3d.reading import number, one_of, text, whole_number
+from instok3d.scene.run_lengths import RunLengths
 from instok3d.types import MAX_LENGTH, Gaussians
 
 Point = tuple[float, float, float]
@@ -82,6 +83,8 @@ class Sight:
     """Input views in which it wins enough pixels."""
     best_view: BestView | None = None
     """None where no input view shows it."""
+    masks: tuple[RunLengths, ...] = ()
+    """Its pixels in each of the views of `visible_in`."""
 
 
 class LateSight:
@@ -107,10 +110,15 @@ class LateSight:
         """As of a `Sight`."""
         return self._sight.best_view
 
+    @property
+    def masks(self) -> tuple[RunLengths, ...]:
+        """As of a `Sight`."""
+        return self._sight.masks
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sight | LateSight):
             return NotImplemented
-        return (self.visible_in, self.best_view) == (other.visible_in, other.best_view)
+        return self._sight == Sight(other.visible_in, other.best_view, other.masks)
 
     def __hash__(self) -> int:
         return hash(self._sight)
@@ -161,17 +169,59 @@ class SceneObject:
             f"confidence={self.confidence:.2f}{hidden}>"
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values for objects.json."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        del values["sight"]
-        values |= {"visible_in": self.visible_in, "best_view": self.best_view}
-        boxes = AlignedBox | OrientedBox | BestView
-        return {name: asdict(v) if isinstance(v, boxes) else v for name, v in values.items()}
+    def height_along(self, up: Point) -> float:
+        """Extent of the oriented box along a direction of unit length, scene units."""
+        axes = quat_to_matrix(torch.tensor(self.obb.quat_wxyz, dtype=torch.float64))
+        along = (torch.tensor(up, dtype=torch.float64) @ axes).abs()
+        return float(along @ torch.tensor(self.obb.size, dtype=torch.float64))
+
+    def to_json(self, up: Point, *, length: float = 1.0) -> dict[str, Any]:
+        """An entry of objects.json, by its schema.
+
+        Args:
+            up: Of the scene.
+            length: What lengths are multiplied by.
+        """
+
+        def scaled(values: Point) -> list[float]:
+            return [length * value for value in values]
+
+        best, seen = self.best_view, zip(self.visible_in, self.sight.masks, strict=True)
+        return {
+            "id": self.id,
+            "key": self.key,
+            "label": self.label,
+            "label_source": None if self.label is None else "given",
+            "confidence": self.confidence,
+            "hidden": self.hidden,
+            "color": self.color,
+            "centroid": scaled(self.centroid),
+            "height": length * self.height_along(up),
+            "aabb": {"min": scaled(self.aabb.min), "max": scaled(self.aabb.max)},
+            "obb": {
+                "center": scaled(self.obb.center),
+                "size": scaled(self.obb.size),
+                "quat_wxyz": list(self.obb.quat_wxyz),
+            },
+            "num_anchors": self.num_anchors,
+            "num_gaussians": self.num_gaussians,
+            "gaussian_range": list(self.gaussian_range),
+            "embedding_row": None,
+            "best_view": None if best is None else {
+                "view": best.view, "pixels": best.pixels, "box": list(best.bbox),
+            },
+            "seen": [
+                {"view": view, "pixels": mask.area, "box": list(mask.box()),
+                 "mask": mask.to_json()}
+                for view, mask in seen
+            ],
+        }  # fmt: skip
 
     @staticmethod
     def from_json(value: Any) -> "SceneObject":
         """The object of an entry of objects.json; unknown keys are ignored.
+
+        Entries of scene folders of versions 1 to 3 have no masks.
 
         Raises:
             KeyError, TypeError, ValueError: An entry is missing or of the wrong kind.
@@ -190,7 +240,7 @@ class SceneObject:
             num_gaussians=whole_number(value["num_gaussians"]),
             gaussian_range=_whole_numbers(value["gaussian_range"], 2),
             confidence=_share(value["confidence"]),
-            sight=_sight(value["visible_in"], value["best_view"]),
+            sight=_sight(value),
             label=None if label is None else text(label),
             hidden=one_of(value.get("hidden", False), (False, True)),
         )
@@ -235,12 +285,22 @@ def find_object(objects: Sequence[SceneObject], which: int | str) -> SceneObject
     raise KeyError(f"no object {which!r} in this scene; its ids are: {known}")
 
 
-def _sight(visible_in: Any, best: Any) -> Sight:
-    views = _whole_numbers(visible_in, len(visible_in))
-    if best is None:
-        return Sight(views)
-    view, pixels = whole_number(best["view"]), whole_number(best["pixels"])
-    return Sight(views, BestView(view, _whole_numbers(best["bbox"], 4), pixels))
+def _sight(value: Any) -> Sight:
+    """Where an entry says that an object is seen, old and new."""
+    best, found = value["best_view"], None
+    old = "visible_in" in value
+    if best is not None:
+        box = _whole_numbers(best["bbox" if old else "box"], 4)
+        found = BestView(whole_number(best["view"]), box, whole_number(best["pixels"]))
+    if old:
+        views = value["visible_in"]
+        return Sight(_whole_numbers(views, len(views)), found)
+    seen = [(whole_number(each["view"]), RunLengths.from_json(each["mask"]))
+            for each in value["seen"]]  # fmt: skip
+    for each, (_, mask) in zip(value["seen"], seen, strict=True):
+        if each["pixels"] != mask.area:
+            raise ValueError(f"a mask of {mask.area} pixels is said to have {each['pixels']}")
+    return Sight(tuple(view for view, _ in seen), found, tuple(mask for _, mask in seen))
 
 
 def describe_shape(gaussians: Gaussians) -> tuple[AlignedBox, OrientedBox, Point]:

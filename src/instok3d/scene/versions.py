@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-VERSION = 3
+VERSION = 4
 """Raised when a reader of the old version would misread the new one."""
 FROM_GAUSSIANS = ("from", "gaussians")
 """near_far of an upgraded header: to be computed. A tuple, which no JSON file can hold."""
@@ -21,7 +21,14 @@ def _from_2(header: dict[str, Any]) -> dict[str, Any]:
     return header
 
 
-UPGRADES: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1, 2: _from_2}
+def _from_3(header: dict[str, Any]) -> dict[str, Any]:
+    """Version 3 kept a bare list in objects.json, without masks, and no up that was given."""
+    return header
+
+
+UPGRADES: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    1: _from_1, 2: _from_2, 3: _from_3,
+}  # fmt: skip
 """From each version to the next one."""
 INPUTS_FOLDERS = ("inputs", "previews/inputs")
 """Where photos may lie in a scene folder; a header that names another place is damaged."""

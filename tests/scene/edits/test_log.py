@@ -94,7 +94,7 @@ def test_files_that_no_edit_needs_any_more_go(path: Path):
 
 def test_an_old_scene_folder_is_edited_in_place(tmp_path: Path):
     golden = Path(__file__).resolve().parents[2] / "golden"
-    for version in (1, 2):
+    for version in (1, 2, 3):
         path = tmp_path / f"v{version}.itk"
         shutil.copytree(golden / f"scene_v{version}", path)
         before = instok3d.load(path)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from instok3d.scene.objects import SceneObject, describe_shape
 from instok3d.scene.record import SceneRecord, SceneTokens
-from instok3d.scene.sight import SharedLook
+from instok3d.scene.sight import looked_at_later
 from instok3d.types import Flow, Gaussians
 
 
@@ -263,6 +263,4 @@ def rebuilt(
         described.append(placed)
         start += count
     bare = replace(scene, gaussians=gaussians, tokens=tokens, objects=tuple(described))
-    shared = SharedLook(bare)
-    seen = tuple(replace(each, sight=shared.of_object(each.id)) for each in described)
-    return replace(bare, objects=seen)
+    return looked_at_later(bare)
