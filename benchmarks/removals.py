@@ -161,7 +161,7 @@ def main() -> int:
     rows: list[tuple[bool, list[list[float]]]] = []
     times_s, pictures = [], []
     for case in cases(RoomDataset(options.data), options.rooms):
-        shots, values = [case.photos], []
+        shots, values, took_s = [case.photos], [], 0.0
         for way in WAYS.values():
             start = time.perf_counter()
             with warnings.catch_warnings():

@@ -101,7 +101,7 @@ def read_gltf(path: Path) -> Splats:
     glb = read_glb(path)
     tables, ids, labels = [], [], {}
     with naming_damage(path, REMEDY):
-        nodes, meshes = glb.content.get("nodes", []), glb.content.get("meshes", [])
+        nodes, meshes = glb.json.get("nodes", []), glb.json.get("meshes", [])
         for node in nodes:
             if "mesh" not in node:
                 continue
@@ -116,9 +116,9 @@ def read_gltf(path: Path) -> Splats:
                     tables.append(table)
                     if ids[-1].any() and (name := node.get("extras", {}).get("label")):
                         labels[int(number)] = str(name)
-        if not tables and glb.content["scenes"] != [{"name": "empty"}]:
+        if not tables and glb.json["scenes"] != [{"name": "empty"}]:
             raise ValueError(f"it has no primitive with {EXTENSION}")
-        about = glb.content.get("asset", {}).get("extras", {}).get("about", [])
+        about = glb.json.get("asset", {}).get("extras", {}).get("about", [])
         units = stated_units([str(line) for line in about])
     width = max((table.shape[1] for table in tables), default=14)
     whole = np.zeros((sum(map(len, tables)), width), np.float32)

@@ -2,7 +2,8 @@
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -74,6 +75,39 @@ def read_catalogue(folder: Path, fields: Sequence[str]) -> list[dict[str, Any]]:
     return records
 
 
+def usable_entries(
+    folder: Path,
+    kind: str,
+    fields: Sequence[str],
+    judged: Callable[[dict[str, Any]], tuple[Entry, str]],
+) -> tuple[tuple[Entry, ...], dict[str, int]]:
+    """The entries of a catalogue that rooms may use, and how many are left out for which reason.
+
+    Args:
+        folder: Of the catalogue.
+        kind: What an entry is, in a word.
+        fields: As of `read_catalogue`.
+        judged: The entry of a record, and why it cannot be used; "" where it can.
+
+    Raises:
+        FileNotFoundError, ValueError: As `read_catalogue`, or nothing is usable.
+    """
+    entries: list[Entry] = []
+    left_out: Counter[str] = Counter()
+    for record in read_catalogue(folder, fields):
+        entry, fault = judged(record)
+        if fault:
+            left_out[fault] += 1
+        else:
+            entries.append(entry)
+    if not entries:
+        raise ValueError(
+            f"{folder} has no {kind} that rooms can use ({counted(left_out)}); choose another "
+            "folder"
+        )
+    return tuple(entries), dict(left_out)
+
+
 def digest(folder: Path, entries: Sequence[Entry]) -> str:
     """SHA-256 over the entries and the bytes of their files; the folder's place is left out."""
     rows = [
@@ -87,13 +121,6 @@ def digest(folder: Path, entries: Sequence[Entry]) -> str:
 def license_fault(entry: Entry) -> str:
     """Why the licence of an entry does not allow its use; "" where it does."""
     return "" if LICENSES.fullmatch(entry.license) else "licence other than CC0, CC-BY, MIT"
-
-
-def nothing_usable(folder: Path, kind: str, left_out: Mapping[str, int]) -> ValueError:
-    """The error for a catalogue of which nothing can be used."""
-    return ValueError(
-        f"{folder} has no {kind} that rooms can use ({counted(left_out)}); choose another folder"
-    )
 
 
 def counted(left_out: Mapping[str, int]) -> str:

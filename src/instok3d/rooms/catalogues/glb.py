@@ -1,12 +1,10 @@
-"""Binary glTF 2.0 files: the triangles of the default scene with their base colours.
+"""Models in binary glTF files: the triangles of the default scene with their base colours.
 
-A reader of our own, because a model needs little of the format and its files come from anywhere:
-every size is checked before anything is allocated, nothing outside the file is opened, and what is
-not understood is refused instead of left out.
+A reader of our own, because a model needs little of the format; what is not understood is refused
+instead of left out.
 """
 
 import io
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +14,8 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from instok3d.reading import naming_damage, number, one_of, parse_json, whole_number
+from instok3d.binary_gltf import GlbFile
+from instok3d.reading import naming_damage, number, one_of, whole_number
 
 REMEDY = "take it out of the catalogue, or export it again as a plain GLB file"
 MAX_BYTES = 64 * 2**20
@@ -24,8 +23,6 @@ MAX_CORNERS = 3_000_000
 """Triangle corners of a file."""
 MAX_TEXELS = 16_000_000
 MAX_PARTS = 1000
-_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
 
 
@@ -68,40 +65,22 @@ def read_glb(path: Path) -> list[GlbPart]:
     if (size := path.stat().st_size) > MAX_BYTES:
         raise ValueError(f"{path} has {size:,} bytes, more than {MAX_BYTES:,}; {REMEDY}")
     with naming_damage(path, REMEDY):
-        return _File(path.read_bytes()).parts()
+        return _Model(path.read_bytes()).parts()
 
 
-class _File:
-    """The two chunks of a file."""
+class _Model(GlbFile):
+    """A file that holds a model."""
 
-    def __init__(self, data: bytes):
-        if data[:4] != b"glTF":
-            raise ValueError("it is no GLB file")
-        version, total = struct.unpack_from("<II", data, 4)
-        if version != 2 or total != len(data):
-            raise ValueError(f"version {version} of {total} bytes, wanted 2 of {len(data)}")
-        chunks = {}
-        at = 12
-        while at < total:
-            length, kind = struct.unpack_from("<I4s", data, at)
-            if at + 8 + length > total:
-                raise ValueError("a chunk is cut off")
-            chunks.setdefault(kind, data[at + 8 : at + 8 + length])
-            at += 8 + length
-        self.json: dict[str, Any] = parse_json(chunks[b"JSON"], "its description", "")
-        self.binary = chunks.get(b"BIN\0", b"")
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
         if required := self.json.get("extensionsRequired"):
             raise ValueError(f"it needs the extensions {', '.join(map(str, required))}")
         self.corners = 0
         self.pictures: dict[int, np.ndarray] = {}
 
-    def _item(self, kind: str, index: Any) -> dict[str, Any]:
-        items = self.json.get(kind, [])
-        return items[whole_number(index, 0, len(items) - 1)]
-
     def parts(self) -> list[GlbPart]:
         """Breadth first through the nodes; a node has one parent, so none comes twice."""
-        scene = self._item("scenes", self.json.get("scene", 0))
+        scene = self.item("scenes", self.json.get("scene", 0))
         waiting = [(index, np.eye(4)) for index in scene.get("nodes", [])]
         found: list[GlbPart] = []
         seen: set[int] = set()
@@ -110,13 +89,13 @@ class _File:
             if index in seen:
                 raise ValueError(f"node {index} stands twice in its scene")
             seen.add(index)
-            node = self._item("nodes", index)
+            node = self.item("nodes", index)
             if "skin" in node:
                 raise ValueError("it is posed by a skin")
             matrix = above @ _local_matrix(node)
             waiting += [(child, matrix) for child in node.get("children", [])]
             if "mesh" in node:
-                mesh = self._item("meshes", node["mesh"])
+                mesh = self.item("meshes", node["mesh"])
                 found += [self._part(primitive, matrix) for primitive in mesh["primitives"]]
             if len(found) > MAX_PARTS:
                 raise ValueError(f"it has more than {MAX_PARTS} parts")
@@ -125,12 +104,12 @@ class _File:
     def _part(self, primitive: dict[str, Any], matrix: np.ndarray) -> GlbPart:
         one_of(primitive.get("mode", _TRIANGLES), (_TRIANGLES,))
         attributes = primitive["attributes"]
-        local = self._values(attributes["POSITION"], "VEC3", (5126,)).astype(np.float64)
+        local = self.values(attributes["POSITION"], ("VEC3",), (5126,)).astype(np.float64)
         vertices = local @ matrix[:3, :3].T + matrix[:3, 3]
         if not np.isfinite(vertices).all():
             raise ValueError("a position is not finite")
         if "indices" in primitive:
-            order = self._values(primitive["indices"], "SCALAR", (5121, 5123, 5125))[:, 0]
+            order = self.values(primitive["indices"], ("SCALAR",), (5121, 5123, 5125))[:, 0]
         else:
             order = np.arange(len(vertices))
         self.corners += len(order)
@@ -148,7 +127,7 @@ class _File:
         return GlbPart(vertices, faces, uvs, surface)
 
     def _uvs(self, accessor: Any, count: int) -> np.ndarray:
-        raw = self._values(accessor, "VEC2", (5121, 5123, 5126))
+        raw = self.values(accessor, ("VEC2",), (5121, 5123, 5126))
         most = 1 if raw.dtype.kind == "f" else np.iinfo(raw.dtype).max
         uvs = raw.astype(np.float64) / most
         if len(uvs) != count or not np.isfinite(uvs).all():
@@ -157,7 +136,7 @@ class _File:
 
     def _surface(self, index: Any) -> tuple[Surface, int]:
         """A part's surface, and the set of texture coordinates that it uses."""
-        material = {} if index is None else self._item("materials", index)
+        material = {} if index is None else self.item("materials", index)
         look = material.get("pbrMetallicRoughness", {})
         factor = np.array([number(x) for x in look.get("baseColorFactor", [1, 1, 1, 1])])
         if factor.shape != (4,) or factor.min() < 0 or factor.max() > 1:
@@ -166,7 +145,7 @@ class _File:
         picture, channel = None, 0
         if texture := look.get("baseColorTexture"):
             channel = whole_number(texture.get("texCoord", 0), 0, 7)
-            source = self._item("textures", texture["index"])["source"]
+            source = self.item("textures", texture["index"])["source"]
             picture = self._picture(source)
         metallic, roughness = (
             min(max(number(look.get(key, 1)), 0.0), 1.0)
@@ -177,43 +156,15 @@ class _File:
 
     def _picture(self, index: Any) -> np.ndarray:
         if index not in self.pictures:
-            image = self._item("images", index)
+            image = self.item("images", index)
             if "bufferView" not in image:
                 raise ValueError("a picture lies outside the file")
-            data, _ = self._view(image["bufferView"])
+            data, _ = self.view(image["bufferView"])
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as opened:
                 if opened.width * opened.height > MAX_TEXELS:
                     raise ValueError(f"a picture has {opened.width} x {opened.height} texels")
                 self.pictures[index] = np.asarray(opened.convert("RGBA"))
         return self.pictures[index]
-
-    def _view(self, index: Any) -> tuple[memoryview, int]:
-        """The bytes of a buffer view, and its stride (0 = none given)."""
-        view = self._item("bufferViews", index)
-        whole_number(view["buffer"], 0, 0)
-        if "uri" in self._item("buffers", 0):
-            raise ValueError("its numbers lie outside the file")
-        start = whole_number(view.get("byteOffset", 0), 0, len(self.binary))
-        length = whole_number(view["byteLength"], 0, len(self.binary) - start)
-        stride = whole_number(view.get("byteStride", 0), 0, 252)
-        return memoryview(self.binary)[start : start + length], stride
-
-    def _values(self, index: Any, shape: str, kinds: tuple[int, ...]) -> np.ndarray:
-        """The rows of an accessor; nothing is copied, so nothing is larger than the file."""
-        accessor = self._item("accessors", index)
-        if "sparse" in accessor or "bufferView" not in accessor:
-            raise ValueError("an accessor is sparse")
-        one_of(accessor["type"], (shape,))
-        kind = np.dtype(_COMPONENTS[one_of(accessor["componentType"], kinds)])
-        data, stride = self._view(accessor["bufferView"])
-        width = _WIDTHS[shape] * kind.itemsize
-        stride = stride or width
-        start = whole_number(accessor.get("byteOffset", 0), 0, len(data))
-        count = whole_number(accessor["count"], 0, len(data))
-        if stride < width or (count and start + stride * (count - 1) + width > len(data)):
-            raise ValueError(f"accessor {index} reaches beyond its view")
-        array = np.ndarray((count, _WIDTHS[shape]), kind, data, start, (stride, kind.itemsize))
-        return array
 
 
 def _local_matrix(node: dict[str, Any]) -> np.ndarray:

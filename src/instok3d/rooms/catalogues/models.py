@@ -1,9 +1,9 @@
 """Furniture models of a catalogue, which stand in for generators of the same class."""
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,7 @@ from instok3d.rooms.catalogues.entries import (
     CATALOGUE,
     Entry,
     license_fault,
-    nothing_usable,
-    read_catalogue,
+    usable_entries,
 )
 from instok3d.rooms.catalogues.entries import REMEDY as CATALOGUE_REMEDY
 from instok3d.rooms.catalogues.glb import GlbPart, Surface, read_glb
@@ -66,9 +65,8 @@ class FurnitureCatalogue:
             FileNotFoundError: The folder has no catalogue, or a model is missing.
             ValueError: The catalogue or a model is damaged, or no model is usable.
         """
-        entries: list[Entry] = []
-        left_out: Counter[str] = Counter()
-        for record in read_catalogue(folder, ("name", "creator")):
+
+        def judged(record: dict[str, Any]) -> tuple[Entry, str]:
             file = Path(record["file"])
             use = generator_of(file.stem, record["name"])
             with naming_damage(folder / CATALOGUE, CATALOGUE_REMEDY):
@@ -76,13 +74,11 @@ class FurnitureCatalogue:
             people = (record["name"], record["creator"], record["license"])
             entry = Entry(file, *people, use, elevation_m)
             fault = "of no class of the rooms" if not use else license_fault(entry)
-            if fault := fault or model_fault(folder, entry):
-                left_out[fault] += 1
-            else:
-                entries.append(entry)
-        if not entries:
-            raise nothing_usable(folder, "model", left_out)
-        return FurnitureCatalogue(folder, tuple(entries), dict(left_out))
+            return entry, fault or model_fault(folder, entry)
+
+        return FurnitureCatalogue(
+            folder, *usable_entries(folder, "model", ("name", "creator"), judged)
+        )
 
     def draw(self, rng: np.random.Generator, generator: str) -> Furniture | None:
         """A model in place of what a generator makes, or None: half of the time at least."""

@@ -1,9 +1,9 @@
 """Textures from files of a catalogue, for floors, walls, wood and cloth."""
 
-from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -11,7 +11,7 @@ from PIL import Image
 
 from instok3d.reading import naming_damage
 from instok3d.rooms import colors
-from instok3d.rooms.catalogues.entries import Entry, license_fault, nothing_usable, read_catalogue
+from instok3d.rooms.catalogues.entries import Entry, license_fault, usable_entries
 from instok3d.rooms.textures import SIZE, Texture, quantised, resampled
 
 REMEDY = "take it out of the catalogue, or save it again as JPEG or PNG"
@@ -42,22 +42,18 @@ class TextureCatalogue:
             FileNotFoundError: The folder has no catalogue, or a texture is missing.
             ValueError: The catalogue or a texture is damaged, or no texture is usable.
         """
-        entries: list[Entry] = []
-        left_out: Counter[str] = Counter()
-        for record in read_catalogue(folder, ("kind", "source")):
+
+        def judged(record: dict[str, Any]) -> tuple[Entry, str]:
             file = Path(record["file"])
             use = use_of(record["kind"], file.stem)
             entry = Entry(file, file.stem, record["source"], record["license"], use)
-            known = use in USES
-            if fault := license_fault(entry) if known else "kind other than " + ", ".join(USES):
-                left_out[fault] += 1
-            else:
-                entries.append(entry)
-        if not entries:
-            raise nothing_usable(folder, "texture", left_out)
+            unknown = "kind other than " + ", ".join(USES)
+            return entry, license_fault(entry) if use in USES else unknown
+
+        entries, left_out = usable_entries(folder, "texture", ("kind", "source"), judged)
         loaded = {entry.stem: load_texture(folder / entry.file) for entry in entries}
         strong = (stem for stem, t in loaded.items() if t.mean(-1).std() / 255 > PLAIN_CONTRAST)
-        return TextureCatalogue(folder, tuple(entries), frozenset(strong), dict(left_out))
+        return TextureCatalogue(folder, entries, frozenset(strong), left_out)
 
     def draw(
         self, rng: np.random.Generator, use: str, *, plain: bool, held_out: bool
