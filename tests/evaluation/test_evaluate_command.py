@@ -10,6 +10,7 @@ from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
 from instok3d.cli import main
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
+from instok3d.evaluation.figures import OBJECTS
 from instok3d.evaluation.report import KEYS
 from instok3d.files import write_json
 from instok3d.model.files import load_model, save_model
@@ -79,6 +80,18 @@ def test_json_on_stdout_is_one_object_with_the_agreed_keys(folder, capsys):
     assert result["lpips"] is None
     assert result["rotation_deg"] is not None
     assert result["model"].startswith("tiny.safetensors sha256:")
+
+
+def test_groups_are_cleaned_and_objects_counted_if_that_is_asked_for(folder, capsys):
+    words = command(folder, "--scenes", "1", "--targets-per-scene", "1", "--clean-up", "--objects")
+    assert main([*words, "--json", "--details"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result["objects"]) == set(OBJECTS)
+    assert result["details"]["settings"]["clean_up"] is True
+    assert main([*words, "--markdown"]) == 0
+    text = capsys.readouterr().out
+    assert ", cleaned up |" in text
+    assert "| objects per instance | whole | purity |" in text
 
 
 def test_the_report_says_how_photos_were_disturbed(folder, capsys):

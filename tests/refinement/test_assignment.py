@@ -48,6 +48,15 @@ def test_a_stray_in_front_of_another_object_joins_it(camera: Cameras):
         assert value is getattr(gaussians, name), name
 
 
+def test_other_winners_may_be_given(camera: Cameras):
+    gaussians = blobs([[-0.5, 0, 2], [0.5, 0, 2]], [0, 1], [0.2, 0.2])
+    same = reassigned(gaussians, ASSIGNMENT, ANCHORS, camera, **VIEW)
+    assert same.anchor_index.tolist() == [0, 1]
+    all_first = torch.zeros(1, SIDE, SIDE, dtype=torch.long)
+    given = reassigned(gaussians, ASSIGNMENT, ANCHORS, camera, **VIEW, winners=all_first)
+    assert given.anchor_index.tolist() == [0, 0]
+
+
 def test_it_joins_the_nearest_anchor_of_the_group(camera: Cameras):
     gaussians = blobs([[0.5, 0, 2], [0.5, 0, 1.9]], [1, 0], [0.3, 0.03])
     gaussians = replace(gaussians, opacities=torch.tensor([0.95, 0.3]))

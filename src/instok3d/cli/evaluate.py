@@ -51,6 +51,7 @@ def run(
     split: Literal["train", "val", "test"] = "test",
     pose_alignment_steps: int | None = None,
     refine: int = 0,
+    clean_up: bool = False,
     objects: bool = False,
     disturb: Disturbance | None = None,
     lpips: str | None = None,
@@ -90,6 +91,8 @@ def run(
             captures these are figures beside the others, by 25 steps as a rule; 0 leaves them out.
         refine: Steps in which the Gaussians are optimised on the context photos first, as
             reconstruct does by default; 0 measures the paper's single forward pass.
+        clean_up: Join groups that hold one thing and give loose pieces to what surrounds them, as
+            reconstruct does by default; without it the groups are measured as the model gives them.
         objects: Also measure whether each thing is one whole object in the context views: objects
             for each instance, share of whole ones, purity, instances found, small ones too.
         disturb: Do this to the context photos first, always in the same way (docs/evaluation.md);
@@ -130,6 +133,7 @@ def run(
         pose_alignment_steps=0 if of_captures else steps,
         also_aligned=steps if of_captures else 0,
         refine=refine,
+        clean_up=clean_up,
         ap=ApSettings(min_instance_area=20 if bare else 0),
         baselines=baselines,
         id_agreement=of_captures,

@@ -57,7 +57,7 @@ def summary(scene: "Scene") -> dict[str, Any]:
         "height": scene.height,
         "width": scene.width,
         "provenance": asdict(scene.provenance),
-        "tokens_give_gaussians": not scene.provenance.refinements,
+        "tokens_give_gaussians": scene.provenance.tokens_give_gaussians,
         "warnings": list(scene.warnings),
     }
 
@@ -75,6 +75,7 @@ def describe(scene: "Scene") -> str:
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
         *geometry_line(scene),
         *(refinement_line(each) for each in made.refinements),
+        *clean_up_line(scene),
         *edited_line(scene),
         *(f"note: {line}" for line in scene.warnings),
     ]
@@ -96,6 +97,14 @@ def geometry_line(scene: "Scene") -> list[str]:
     made = scene.provenance
     weights = f" ({made.geometry_sha256[:12]})" if made.geometry_sha256 else ""
     return [f"cameras and depth: {made.geometry}{weights}"] if made.geometry else []
+
+
+def clean_up_line(scene: "Scene") -> list[str]:
+    """What was joined and moved to make whole objects; nothing where that was not done."""
+    done = scene.provenance.clean_up
+    if done is None:
+        return []
+    return [f"cleaned up: {done.joined} groups joined others, {done.moved} Gaussians moved"]
 
 
 def edited_line(scene: "Scene") -> list[str]:

@@ -22,6 +22,7 @@ def run(
     up: tuple[str, ...] | None = None,
     model: Path | None = None,
     refine: int | None = None,
+    clean_up: bool = True,
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -48,6 +49,8 @@ def run(
         model: A model file instead of the default model.
         refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the
             model's single pass gives them. None takes the default.
+        clean_up: Join groups that hold one thing and give loose pieces to what surrounds them;
+            --no-clean-up leaves the model's groups as they are.
         keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
             second one ends the command.
         max_views: Of more photos, this many are chosen to cover all.
@@ -62,8 +65,8 @@ def run(
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
         geometry=geometry, allow_outside=allow_outside, up=up, model=model, refine=refine,
-        keep_interrupted=keep_interrupted, max_views=max_views, seed=seed, device=device,
-        overwrite=overwrite, json=json, timings=timings,
+        clean_up=clean_up, keep_interrupted=keep_interrupted, max_views=max_views, seed=seed,
+        device=device, overwrite=overwrite, json=json, timings=timings,
     )  # fmt: skip
 
 
@@ -77,6 +80,7 @@ def make_scene(
     up: tuple[str, ...] | None = None,
     model: Path | None = None,
     refine: int | None = None,
+    clean_up: bool = True,
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -103,6 +107,7 @@ def make_scene(
             scene = reconstruct(
                 photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside, up=up,
                 model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
+                clean_up=clean_up,
                 max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
         with plain_warnings():

@@ -22,6 +22,8 @@ from instok3d.refinement.assignment import reassigned
 from instok3d.refinement.optimization import refine_gaussians
 from instok3d.refinement.settings import RefinementSettings
 from instok3d.render import render
+from instok3d.scene.clean_up import cleaned
+from instok3d.scene.record import SceneTokens
 from instok3d.types import Cameras, Geometry, Rendering, TokenGroups, Views
 
 GeometryMode = Literal["predicted", "intrinsics", "given"]
@@ -82,6 +84,7 @@ def predict(
     pose_alignment_steps: int = 0,
     alpha_min: float = 0.0,
     refine: int = 0,
+    clean_up: bool = False,
     with_ids: bool = False,
     with_objects: bool = False,
     also_aligned: int = 0,
@@ -96,6 +99,7 @@ def predict(
         pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
         alpha_min: Pixels covered no more than this belong to no group.
         refine: Steps of refinement on the context photos, at the cameras of the prediction.
+        clean_up: Make whole objects of the groups, as `reconstruct` does by default.
         with_ids: Also render the ids of the context views, for `rendered_ids`.
         with_objects: Also find the objects of the scene in the context views, for `objects`.
         also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
@@ -126,6 +130,13 @@ def predict(
             gaussians, pi, groups.anchors.positions[0], predicted, height, width,
             near=NEAR, far=FAR,
         )  # fmt: skip
+
+    if clean_up:
+        tokens = SceneTokens(
+            groups.anchors.positions[0], groups.anchors.tokens[0], groups.tokens[0], pi
+        )
+        whole = cleaned(gaussians, tokens, predicted, height, width, near=NEAR, far=FAR)
+        gaussians, pi = whole.gaussians, whole.tokens.assignment
 
     def place(scale: float) -> Cameras:
         return cameras_in_prediction(

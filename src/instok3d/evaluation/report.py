@@ -131,6 +131,10 @@ def notes(report: EvaluationReport) -> list[str]:
         lines.append(
             f"The Gaussians were refined on the context photos, {report.settings.refine} steps."
         )
+    if report.settings.clean_up:
+        lines.append(
+            "Groups that hold one thing were joined, loose pieces given to what is around."
+        )
     if report.settings.pose_alignment_steps:
         lines.append(_alignment_note(report))
     if report.aligned is not None:
@@ -215,6 +219,8 @@ def results_rows(
     model = report.model
     if report.settings.refine:
         model += f", refined {report.settings.refine} steps"
+    if report.settings.clean_up:
+        model += ", cleaned up"
     if report.settings.disturb:
         model += f", photos disturbed: {report.settings.disturb}"
     named = {model: report.figures, **report.baselines}

@@ -36,6 +36,8 @@ class EvaluationSettings:
     """The same for a second set of figures beside the first one; 0 = no second set."""
     refine: int = 0
     """Steps of refinement on the context photos; 0 measures the single forward pass."""
+    clean_up: bool = False
+    """Make whole objects of the groups first; False measures the groups as the model gives them."""
     ap: ApSettings = field(default_factory=lambda: ApSettings(min_instance_area=20))
     """What counts as an instance."""
     alpha_min: float = 0.0
@@ -183,6 +185,7 @@ def _predict(
         pose_alignment_steps=settings.pose_alignment_steps,
         alpha_min=settings.alpha_min,
         refine=settings.refine,
+        clean_up=settings.clean_up,
         with_ids=settings.id_agreement,
         with_objects=settings.objects,
         also_aligned=settings.also_aligned,

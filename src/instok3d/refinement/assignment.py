@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.render import render
@@ -25,6 +25,7 @@ def reassigned(
     *,
     near: float,
     far: float,
+    winners: Int[Tensor, "view height width"] | None = None,
 ) -> Gaussians:
     """The Gaussians, some of them of another anchor; not differentiable.
 
@@ -42,10 +43,13 @@ def reassigned(
         width: Of the views, pixels.
         near: Gaussians nearer than this z-depth are not drawn, scene units.
         far: Nor are those farther than this.
+        winners: Of each pixel, where another rule than step 1 says so.
     """
     if not len(gaussians.means) or not len(anchors):
         return gaussians
-    weights = weights_by_group(gaussians, assignment, cameras, height, width, near=near, far=far)
+    weights = weights_by_group(
+        gaussians, assignment, cameras, height, width, near=near, far=far, winners=winners
+    )
     owners = assignment.argmax(dim=1)
     total = weights.sum(dim=1)
     most, shown = weights.max(dim=1)
@@ -75,6 +79,7 @@ def weights_by_group(
     *,
     near: float,
     far: float,
+    winners: Int[Tensor, "view height width"] | None = None,
 ) -> Float[Tensor, "gaussian column"]:
     """Visible weight of each Gaussian in the pixels that each group wins, over all views.
 
@@ -86,12 +91,16 @@ def weights_by_group(
     weights = torch.zeros(len(fixed.means), assignment.shape[1], device=fixed.means.device)
     for view in range(len(cameras.intrinsics)):
         camera = cameras.view(view)
-        with torch.no_grad():
-            maps = render(
-                fixed, camera, height, width, anchor_features=assignment, near=near, far=far
-            ).features
+        if winners is None:
+            with torch.no_grad():
+                maps = render(
+                    fixed, camera, height, width, anchor_features=assignment, near=near, far=far
+                ).features
             assert maps is not None
-            won, winners = maps[0].argmax(dim=0).unique(return_inverse=True)
+            here = maps[0].argmax(dim=0)
+        else:
+            here = winners[view]
+        won, column = here.unique(return_inverse=True)
         # Columns of the groups that win a pixel alone: a tenth of all, and the others stay 0.
         features = weights.new_zeros(len(weights), len(won), requires_grad=True)
         with torch.enable_grad():
@@ -99,7 +108,7 @@ def weights_by_group(
                 alone, camera, height, width, anchor_features=features, near=near, far=far
             ).features
             assert own is not None
-            own[0].gather(0, winners[None]).sum().backward()
+            own[0].gather(0, column[None]).sum().backward()
         assert features.grad is not None
         weights[:, won] += features.grad
     return weights

@@ -39,6 +39,7 @@ from instok3d.scene.object_list import objects_document, read_entries, read_obje
 from instok3d.scene.picture_size import MAX_PICTURE_PIXELS
 from instok3d.scene.record import (
     MAX_FAR,
+    CleanUpRecord,
     Provenance,
     RefinementRecord,
     SceneRecord,
@@ -236,11 +237,18 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
             geometry=text(made.get("geometry", "")),
             geometry_sha256=text(made.get("geometry_sha256", "")),
             refinements=tuple(_refinement(each) for each in made.get("refinements", ())),
+            clean_up=_clean_up(made.get("clean_up")),
             edits=tuple(text(each) for each in made.get("edits", ())),
             invented=whole_number(made.get("invented", 0)),
             edited_from=text(made.get("edited_from", "")),
         ),
     }
+
+
+def _clean_up(value: dict[str, Any] | None) -> CleanUpRecord | None:
+    if value is None:
+        return None
+    return CleanUpRecord(whole_number(value["joined"]), whole_number(value["moved"]))
 
 
 def _refinement(value: dict[str, Any]) -> RefinementRecord:
@@ -272,7 +280,7 @@ def _scene_json(scene: SceneRecord, digests: dict[str, str]) -> dict[str, Any]:
         "num_anchors": scene.tokens.assignment.shape[0],
         "num_gaussians": len(scene.gaussians.means),
         "provenance": dataclasses.asdict(scene.provenance),
-        "tokens_give_gaussians": not scene.provenance.refinements,
+        "tokens_give_gaussians": scene.provenance.tokens_give_gaussians,
         "inputs": {view.file: view.sha256 for view in scene.views},
         "warnings": list(scene.warnings),
         "sha256": digests,

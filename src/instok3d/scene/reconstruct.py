@@ -19,6 +19,7 @@ from instok3d.model.views.unseeded import without_patches
 from instok3d.photos.loading import PhotoSet, read_photos
 from instok3d.refinement.settings import DEFAULT_STEPS, RefinementSettings
 from instok3d.scene.checked_geometry import checked_geometry
+from instok3d.scene.clean_up import cleaned
 from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.geometry_source import GeometrySource, find_source
 from instok3d.scene.record import Provenance, SceneView
@@ -49,6 +50,7 @@ def reconstruct(
     model: str | Path | Tokenizer | None = None,
     seed: int = 0,
     refine: int = DEFAULT_STEPS,
+    clean_up: bool = True,
     max_views: int = 16,
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
@@ -56,8 +58,9 @@ def reconstruct(
 ) -> Scene:
     """A scene of objects from photos of one room. Not differentiable.
 
-    The model's Gaussians are refined on the photos (`instok3d.refine`), which is not in the
-    paper; `refine=0` leaves them as the single forward pass gives them.
+    The model's Gaussians are refined on the photos (`instok3d.refine`) and its groups are made
+    whole objects (`instok3d.scene.clean_up`), which is not in the paper; `refine=0` and
+    `clean_up=False` leave them as the single forward pass gives them.
 
     With the nano backbone (that of the default model) photos that match none of the others are left
     out. The scene's warnings name them, and say if given cameras contradict the photos.
@@ -83,6 +86,7 @@ def reconstruct(
         seed: Seeds torch for the run; the caller's random state is left as it was.
         refine: Steps of refinement at the size that the model sees; 0 for none. `instok3d.refine`
             refines a scene further, at more pixels too.
+        clean_up: Join groups that hold one thing, and give loose pieces to what surrounds them.
         max_views: Of more photos, this many are chosen to cover all.
         device: Where the model runs; the scene comes back on the CPU.
         progress: Called with the name of each stage as it begins, and behind a colon with how far
@@ -161,7 +165,17 @@ def reconstruct(
         begin("refinement")
         scene = refined(scene, refinement, progress=progress, stop=stop)
     begin("objects")
-    return with_objects(scene)
+    return with_objects(cleaned_scene(scene) if clean_up else scene)
+
+
+def cleaned_scene(scene: Scene) -> Scene:
+    """The scene with whole objects (`clean_up.cleaned`), before its objects are described."""
+    near, far = scene.near_far
+    done = cleaned(
+        scene.gaussians, scene.tokens, scene.cameras, scene.height, scene.width, near=near, far=far
+    )
+    provenance = replace(scene.provenance, clean_up=done.record)
+    return replace(scene, gaussians=done.gaussians, tokens=done.tokens, provenance=provenance)
 
 
 def _checked_device(name: str | torch.device) -> torch.device:

@@ -68,6 +68,16 @@ class RefinementRecord:
 
 
 @dataclass(frozen=True)
+class CleanUpRecord:
+    """How groups were made whole objects (`instok3d.scene.clean_up`)."""
+
+    joined: int
+    """Groups that became a part of another one."""
+    moved: int
+    """Gaussians that were given to another group."""
+
+
+@dataclass(frozen=True)
 class Provenance:
     """What a scene was made with."""
 
@@ -84,12 +94,19 @@ class Provenance:
     """Of its weights; empty where they are the model's own or were in memory."""
     refinements: tuple[RefinementRecord, ...] = ()
     """In the order they were done; after one the tokens no longer give the Gaussians."""
+    clean_up: CleanUpRecord | None = None
+    """None where the groups are as the model gave them."""
     edits: tuple[str, ...] = ()
     """What was edited, in words, in the order it was done (`instok3d.scene.edits`)."""
     invented: int = 0
     """Gaussians that fills of removals added: no photo shows what they show."""
     edited_from: str = ""
     """SHA-256 of gaussians.safetensors of the scene before its first edit; empty without edits."""
+
+    @property
+    def tokens_give_gaussians(self) -> bool:
+        """Whether decoding the tokens again would give these Gaussians, of these anchors."""
+        return not self.refinements and not (self.clean_up and self.clean_up.moved)
 
 
 @dataclass(frozen=True, repr=False)

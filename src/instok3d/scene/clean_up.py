@@ -1,0 +1,233 @@
+"""Whole objects, not crumbs: what the groups of a scene are before they become objects.
+
+A network spreads a chair over two groups, or leaves a crumb of a table to a group of its own. Its
+probabilities say so: the pixels that such a crumb wins have a good part of the table's map. Done
+where a scene is made, on what its input views show; no network, no optimisation. Not in the paper.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy import ndimage
+from torch import Tensor
+
+from instok3d.refinement.assignment import reassigned
+from instok3d.render import render
+from instok3d.scene.contacts import Contacts, find_contacts
+from instok3d.scene.record import CleanUpRecord, SceneTokens
+from instok3d.types import Cameras, Gaussians
+
+JOIN_SCORE = 0.4
+"""From which a group joins a larger one (`_affinity`). Tuned on rooms, docs/log.md."""
+PIECE_SCORE = 0.3
+"""From which a loose piece of a group goes to another one."""
+COLOR_RANGE = 0.4
+"""Difference of mean colours, sRGB, at which two groups are never one thing."""
+MAIN_SHARE = 0.5
+"""Of the pixels that a group wins in a view: a larger region is its main part there."""
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A scene's Gaussians and tokens with other owners; nothing else of them is changed."""
+
+    gaussians: Gaussians
+    """anchor_index may differ."""
+    tokens: SceneTokens
+    """The assignment may differ. A group that joined another one has no probability left."""
+    record: CleanUpRecord
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One input view."""
+
+    maps: Float[Tensor, "column height width"]
+    """Of the groups, and of the void with what is not covered."""
+    winners: Int[Tensor, "height width"]
+    depths: Float[Tensor, "height width"]
+    colors: Float[Tensor, "3 height width"]
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What regions of all views show: their pixels' means."""
+
+    pixels: Float[Tensor, " region"]
+    maps: Float[Tensor, "region column"]
+    colors: Float[Tensor, "region 3"]
+    contacts: Contacts
+
+
+@torch.no_grad()
+def cleaned(
+    gaussians: Gaussians,
+    tokens: SceneTokens,
+    cameras: Cameras,
+    height: int,
+    width: int,
+    *,
+    near: float,
+    far: float,
+) -> Cleaned:
+    """Groups that hold one thing joined, and Gaussians given to the group that they show.
+
+    1. A group joins the larger one whose map is strong on its pixels, whose surface goes on there
+       and whose colour is alike. A small thing that stands out, a cup on a table, stays.
+    2. Of what a group wins in a view, regions apart from its main part are loose pieces. Where the
+       map and the surface of a group around it say so, a piece is that group's.
+    3. A Gaussian whose visible weight lies mostly in the pixels of another group goes to it, to
+       its nearest anchor: the loose pieces, and haloes at the rim of an object.
+
+    Not differentiable.
+
+    Args:
+        gaussians: One scene.
+        tokens: Its anchors and groups.
+        cameras: Of the input views.
+        height: Of the views, pixels.
+        width: Of the views, pixels.
+        near: Gaussians nearer than this z-depth are not drawn, scene units.
+        far: Nor are those farther than this.
+    """
+    if not len(gaussians.means) or not len(tokens.groups):
+        return Cleaned(gaussians, tokens, CleanUpRecord(0, 0))
+
+    def looked(assignment: Float[Tensor, "anchor column"]) -> list[_Look]:
+        views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
+        return [_look(gaussians, assignment, v, height, width, near, far) for v in views]
+
+    assignment, joined = _joined(tokens.assignment, looked(tokens.assignment))
+    labels = _without_loose_pieces(looked(assignment) if joined else looked(tokens.assignment))
+    moved = reassigned(
+        gaussians, assignment, tokens.positions, cameras, height, width, near=near, far=far,
+        winners=labels,
+    )  # fmt: skip
+    count = int((moved.anchor_index != gaussians.anchor_index).sum())
+    return Cleaned(moved, replace(tokens, assignment=assignment), CleanUpRecord(joined, count))
+
+
+def _look(
+    gaussians: Gaussians,
+    assignment: Float[Tensor, "anchor column"],
+    camera: Cameras,
+    height: int,
+    width: int,
+    near: float,
+    far: float,
+) -> _Look:
+    picture = render(
+        gaussians, camera, height, width, anchor_features=assignment, near=near, far=far
+    )
+    assert picture.features is not None
+    maps = picture.features[0]
+    maps = torch.cat([maps[:-1], maps[-1:] + (1 - picture.alphas)])
+    return _Look(maps, maps.argmax(dim=0), picture.depths[0], picture.colors[0])
+
+
+def _joined(
+    assignment: Float[Tensor, "anchor column"], looks: Sequence[_Look]
+) -> tuple[Float[Tensor, "anchor column"], int]:
+    """The assignment with joined groups, and how many joined another one."""
+    groups = assignment.shape[1] - 1
+    shown = _shown(looks, [look.winners for look in looks], groups + 1)
+    score = _affinity(shown, torch.arange(groups + 1), shown.colors, mutual=True)
+    # Larger groups take smaller ones, so that there is no circle; of equal ones the first takes.
+    order = (-shown.pixels).argsort(stable=True)
+    rank = torch.empty_like(order)
+    rank[order] = torch.arange(groups + 1)
+    score[rank[None, :] >= rank[:, None]] = 0
+    score[groups], score[:, groups] = 0, 0  # the void neither takes nor joins
+    best, target = score.max(dim=1)
+    assignment, count = assignment.clone(), 0
+    for group in reversed(order.tolist()):
+        if best[group] > JOIN_SCORE:
+            assignment[:, target[group]] += assignment[:, group]
+            assignment[:, group] = 0
+            count += 1
+    return assignment, count
+
+
+def _without_loose_pieces(looks: Sequence[_Look]) -> Int[Tensor, "view height width"]:
+    """The winner of each pixel, with the loose pieces given to the group around them."""
+    columns = looks[0].maps.shape[0] if looks else 0
+    regions, owners, mains = [], [], []
+    for look in looks:
+        region, owner, main = _regions(look.winners, first=len(owners))
+        regions.append(region)
+        owners += owner
+        mains += main
+    owner, main = torch.tensor(owners), torch.tensor(mains, dtype=torch.bool)
+    shown = _shown(looks, regions, len(owners))
+    group_colors = _shown(looks, [look.winners for look in looks], columns).colors
+    score = _affinity(shown, owner, group_colors, mutual=False)
+    score[:, -1] = 0
+    best, target = score.max(dim=1)
+    loose = ~main & (owner != columns - 1) & (best > PIECE_SCORE)
+    return torch.where(loose, target, owner)[torch.stack(regions)]
+
+
+def _regions(
+    winners: Int[Tensor, "height width"], *, first: int
+) -> tuple[Int[Tensor, "height width"], list[int], list[bool]]:
+    """Connected regions of one winner, numbered from `first`: their group, and if they are main."""
+    regions = torch.zeros_like(winners)
+    owners: list[int] = []
+    mains: list[bool] = []
+    for group in winners.unique().tolist():
+        marked = np.zeros(winners.shape, dtype=np.int32)
+        ndimage.label((winners == group).cpu().numpy(), output=marked)
+        number, count = torch.from_numpy(marked).to(winners), int(marked.max())
+        regions = torch.where(number > 0, number - 1 + first + len(owners), regions)
+        sizes = number.flatten().bincount(minlength=count + 1)[1:]
+        owners += [group] * count
+        mains += (sizes >= MAIN_SHARE * sizes.sum()).tolist()
+    return regions, owners, mains
+
+
+def _shown(
+    looks: Sequence[_Look], regions: Sequence[Int[Tensor, "height width"]], count: int
+) -> _Shown:
+    """What the regions show, over the views together; zeros for a region without pixels."""
+    columns = looks[0].maps.shape[0] if looks else 0
+    pixels, maps, colors = torch.zeros(count), torch.zeros(count, columns), torch.zeros(count, 3)
+    contacts = Contacts(torch.zeros(count, columns), torch.zeros(count, columns))
+    for look, region in zip(looks, regions, strict=True):
+        flat = region.flatten().cpu()
+        pixels += flat.bincount(minlength=count)
+        maps.index_add_(0, flat, look.maps.flatten(1).T.cpu())
+        colors.index_add_(0, flat, look.colors.flatten(1).T.cpu())
+        contacts += find_contacts(
+            region.cpu(), look.winners.cpu(), look.depths.cpu(), count, columns
+        )
+    size = pixels.clamp_min(1)[:, None]
+    return _Shown(pixels, maps / size, colors / size, contacts)
+
+
+def _affinity(
+    shown: _Shown,
+    owner: Int[Tensor, " region"],
+    group_colors: Float[Tensor, "column 3"],
+    *,
+    mutual: bool,
+) -> Float[Tensor, "region column"]:
+    """How much each region looks like a part of each group that it touches.
+
+    The group's map on the region's pixels, relative to that of the region's own group; times the
+    share of their border across which the surface goes on; less by the difference of their colours.
+
+    Args:
+        shown: Of the regions.
+        owner: Of each region; itself has no affinity.
+        group_colors: Mean of each group.
+        mutual: Add the map of the region's group on the other's pixels (regions are groups then).
+    """
+    own = shown.maps.gather(1, owner[:, None]).clamp_min(1e-6)
+    maps = shown.maps + shown.maps.T if mutual else shown.maps
+    surface = shown.contacts.surface / shown.contacts.border.clamp_min(1)
+    difference = (shown.colors[:, None] - group_colors[None]).abs().mean(dim=2)
+    score = maps / own * surface * (1 - difference / COLOR_RANGE).clamp_min(0)
+    return score.scatter(1, owner[:, None], 0.0)
