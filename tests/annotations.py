@@ -42,7 +42,12 @@ def check_anew() -> None:
 
 
 def _leave(module: str, path: str) -> None:
-    """Have jaxtyping call a function as it is; local ones and those of nobody stay checked."""
+    """Have jaxtyping call a function as it is; local ones and those of nobody stay checked.
+
+    So do those of commands: the mark for jaxtyping would hide their annotations from tyro.
+    """
+    if module.startswith("instok3d.cli."):
+        return
     found: Any = sys.modules.get(module)
     for name in path.split("."):
         found = vars(found).get(name) if hasattr(found, "__dict__") else None
