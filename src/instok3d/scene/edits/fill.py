@@ -76,8 +76,11 @@ def plane_fill(
     rim = nearness(hole, max(2, round(RIM * max(size)))) * ~(shown > SHOWN)
     removed = look_at(before.gaussians.rows(dropped), before.near_far, before.cameras, *size)
     groups = winning_groups(after, left, look)
-    planes = [_without_things(each, groups, look.solid) for each in find_planes(left, look, rim)]
+    found = find_planes(left, look, rim)
+    planes = [_without_things(each, groups, look.solid) for each in found]
     planes = [each for each in planes if _at_rim(each, look, rim)]
+    # Where the rim shows nothing but things, as that of a piece of a table, they are extended.
+    planes = planes or [each for each in found if _at_rim(each, look, rim)]
     which, points = _chosen_planes(look, removed, hole, planes)
     made = [_none(after)]
     for number, plane in enumerate(planes):
