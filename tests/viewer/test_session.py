@@ -5,12 +5,14 @@ import pytest
 import torch
 
 from edited_scenes import assert_bit_equal
+from imported_scene import imported_scene
 from instok3d.geometry.moving import Similarity, quat_about
 from instok3d.scene.edits.folder import editing
 from instok3d.scene.scene import Scene
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.session import Session, axis_and_angle
 from made_scene import HEIGHT, WIDTH, made_empty_scene, made_scene, made_tokens
+from splat_scenes import furnished_scene
 
 
 @pytest.fixture
@@ -73,6 +75,20 @@ def test_what_goes_is_no_longer_selected_and_comes_back_by_undo(session: Session
     session.redo()
     assert not session.can_redo
     assert session.scene.objects == ()
+
+
+def test_a_hole_is_filled_on_request_where_photos_show_it():
+    scene = furnished_scene()
+    session = Session(scene)
+    session.select(1)
+    session.remove(fill=True)
+    assert_bit_equal(session.scene, scene.remove(1, claim=True, fill="plane"))
+    bare = Session(imported_scene())
+    bare.select(7)
+    with pytest.raises(ValueError, match="fill"):
+        bare.remove(fill=True)
+    bare.remove()
+    assert len(bare.scene.objects) == 2
 
 
 def test_what_is_new_is_selected(session: Session):

@@ -144,7 +144,12 @@ class Panel:
             turn = self._gui.add_number("Turn (degrees)", 30.0, min=-360.0, max=360.0)
             self._button("Turn about up", lambda: session.turn(turn.value))
             self._buttons("In the picture", {"Hide": session.hide, "Show": session.show})
-            self._buttons("Object", {"Remove": session.remove, "Duplicate": session.duplicate})
+            fill = self._gui.add_checkbox(
+                "Fill the hole", False, hint="Of what is removed, by floors and walls: invented"
+            )
+            self._buttons("Object", {
+                "Remove": lambda: session.remove(fill=fill.value), "Duplicate": session.duplicate
+            })  # fmt: skip
             self._buttons("Objects", {"Merge": session.merge, "Split": session.split})
             label = self._gui.add_text("Name", "")
             self._button("Rename", lambda: session.rename(label.value))

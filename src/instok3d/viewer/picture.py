@@ -89,7 +89,6 @@ class Picture:
         node = self._nodes.get(number)
         if node is not None and node.scale == splats.unit:
             node.set_gaussians(*arrays)
-            node.wxyz, node.position = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             return
         self._nodes[number] = self._server.scene.add_gaussian_splats(
             f"/objects/{number}", *arrays, scale=splats.unit
@@ -112,8 +111,11 @@ class Picture:
     def _place_gizmo(self) -> None:
         """Put the gizmo at the base of the one selected object, or take it away."""
         if self._gizmo is not None:
-            self._gizmo[1].remove()
+            number, gizmo = self._gizmo
+            gizmo.remove()
             self._gizmo = None
+            if number in self._nodes:  # where it was dragged to is now in its Gaussians, or refused
+                _place(self._nodes[number], Similarity())
         scene, selected = self._shown.scene, self._shown.selected
         if not self.with_gizmo or len(selected) != 1:
             return
@@ -130,11 +132,14 @@ class Picture:
             return Similarity.about(pivot, quat_wxyz=[float(each) for each in gizmo.wxyz], by=by)
 
         @gizmo.on_update
-        def _(_: object) -> None:
-            if node is not None:
-                moved = motion()
-                node.wxyz, node.position = moved.quat_wxyz, moved.translation
+        def _(event: Any) -> None:
+            if event.phase != "end":
+                if node is not None:
+                    _place(node, motion())
+            elif motion() != Similarity():
+                self._moved(number, motion())
 
-        @gizmo.on_drag_end
-        def _(_: object) -> None:
-            self._moved(number, motion())
+
+def _place(node: Any, motion: Similarity) -> None:
+    """Draw a node moved, without a change of its Gaussians."""
+    node.wxyz, node.position = motion.quat_wxyz, motion.translation

@@ -160,10 +160,17 @@ class Session:
             selected = frozenset(new or self._shown.selected & ids)
             self._shown = replace(self._shown, scene=after, selected=selected)
 
-    def remove(self) -> None:
-        """Take the selected objects away, with the haloes at their rims."""
-        ids = self._wanted(1)
-        self.edit(lambda scene: scene.remove(*ids, claim=bool(scene.views)))
+    def remove(self, *, fill: bool = False) -> None:
+        """Take the selected objects away, with the haloes at their rims.
+
+        Args:
+            fill: Extend floors, walls and table tops into the hole, which is an invention.
+
+        Raises:
+            ValueError: Nothing is selected, or a hole is to be filled that no photo shows.
+        """
+        ids, plane = self._wanted(1), "plane" if fill else None
+        self.edit(lambda scene: scene.remove(*ids, claim=bool(scene.views), fill=plane))
 
     def keep_alone(self) -> None:
         """Take everything else away."""
