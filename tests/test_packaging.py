@@ -76,7 +76,8 @@ def test_the_wheel_holds_code_assets_and_the_mark_of_types_but_no_sources_of_ker
     assets = {str(path.relative_to(ROOT / "src")) for path in (ROOT / ASSETS).rglob("*.*")}
     page = {
         str(path.relative_to(ROOT / "src"))
-        for path in (ROOT / "src/instok3d/webpage").iterdir()
+        for folder in ("webpage", "viewer")
+        for path in (ROOT / "src/instok3d" / folder).iterdir()
         if path.suffix in (".js", ".css", ".html")
     }
     assert here | assets | page | {"instok3d/py.typed", "instok3d/COMMIT"} == {

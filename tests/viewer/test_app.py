@@ -24,7 +24,7 @@ NASTY = "<img src=http://evil.example/x onerror=window.broken=1> ![x](http://evi
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return furnished_scene(sh_count=16)
+    return furnished_scene(400, sh_count=16)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def page(viewer: Viewer) -> Iterator[Any]:
     opened.on("websocket", lambda socket: asked.append(socket.url))
     opened.on("pageerror", lambda error: errors.append(str(error)))
     opened.goto(viewer.url)
-    opened.get_by_text("2 objects, 1500 Gaussians").wait_for()
+    opened.get_by_text("2 objects, 400 Gaussians").wait_for()
     yield opened
     opened.close()
     own = viewer.url.split("/")[2]
@@ -97,14 +97,19 @@ def psnr(first: np.ndarray, second: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / max(error, 1e-9)))
 
 
-def click(page: Any, x: int, y: int, modifier: str | None = None) -> None:
-    """A click in the middle of a photo's pixel, as one sees it from where the photo was taken."""
+def point(page: Any, x: int, y: int) -> tuple[float, float]:
+    """Move the pointer to the middle of a photo's pixel, as seen from where it was taken."""
     box = page.locator("canvas").first.bounding_box()
+    right, down = (x + 0.5) / WIDTH * box["width"], (y + 0.5) / HEIGHT * box["height"]
+    page.mouse.move(box["x"] + right, box["y"] + down)
+    return box["x"] + right, box["y"] + down
+
+
+def click(page: Any, x: int, y: int, modifier: str | None = None) -> None:
+    at = point(page, x, y)
     if modifier:
         page.keyboard.down(modifier)
-    page.mouse.click(
-        box["x"] + (x + 0.5) / WIDTH * box["width"], box["y"] + (y + 0.5) / HEIGHT * box["height"]
-    )
+    page.mouse.click(*at)
     if modifier:
         page.keyboard.up(modifier)
 
@@ -141,6 +146,14 @@ def test_a_click_selects_the_object_of_that_pixel(page: Any, viewer: Viewer, sce
         click(page, x, y)
         until(page, lambda before=before: viewer._session.shown.place is not before)
         assert viewer._session.shown.selected == {int(ids[0, y, x])} - {0}
+
+
+def test_the_object_under_the_pointer_is_named(page: Any, scene: Scene):
+    tip = page.locator("#instok3d-hover")
+    point(page, 10, 14)
+    tip.get_by_text("object#1", exact=True).wait_for()
+    point(page, 3, 11)
+    tip.wait_for(state="hidden")
 
 
 def test_objects_are_selected_together_in_the_list_and_in_the_picture(page: Any, viewer: Viewer):

@@ -15,7 +15,7 @@ pytest.importorskip("viser", reason="needs viser: '.[view]'")
 
 @pytest.fixture(scope="module")
 def guard() -> Iterator[Guard]:
-    server, guard = serve(port=0, title="test")
+    server, guard = serve(port=0, title="test", hover=lambda x, y: f"{x} {y} é")
     yield guard
     stop_serving(server)
 
@@ -59,8 +59,19 @@ def test_the_address_hands_the_token_over_to_a_cookie(guard: Guard):
     assert given.split(";")[0] == f"{guard.cookie}={guard.token}"
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= {each.strip() for each in given.split(";")}
     page = ask(guard, Cookie=given.split(";")[0])
-    assert page.status == 200
+    zipped = ask(guard, Cookie=given.split(";")[0], Accept_Encoding="gzip, br")
+    assert page.status == zipped.status == 200
+    assert page.body == zipped.body
+    assert b"instok3d-hover" in page.body
     assert b"<html" in page.body
+
+
+def test_what_is_under_the_pointer_is_told_to_our_page_alone(guard: Guard):
+    answer = ask(guard, "/hover?x=0.25&y=1", **cookie(guard))
+    assert (answer.status, answer.body.decode()) == (200, "0.25 1.0 é")
+    assert ask(guard, "/hover?x=0.25&y=1").status == 403
+    for query in ("", "x=0.5", "x=a&y=0", "x=nan&y=0", "x=2&y=0", "x=-1&y=0", "x=1&x=1&y=0"):
+        assert ask(guard, f"/hover?{query}", **cookie(guard)).status == 400
 
 
 def test_the_page_may_neither_send_nor_be_framed_nor_be_kept(guard: Guard):
@@ -123,7 +134,7 @@ def test_what_is_no_port_is_refused(host: str, port: int):
 
 def test_an_address_of_another_machine_is_refused():
     with pytest.raises(ValueError, match=r"cannot listen on 203\.0\.113\.1"):
-        serve("203.0.113.1", 8080, title="test")
+        serve("203.0.113.1", 8080, title="test", hover=lambda x, y: "")
 
 
 def test_other_servers_of_the_process_are_left_alone(guard: Guard):

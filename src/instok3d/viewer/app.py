@@ -20,6 +20,7 @@ from instok3d.scene.scene import Scene
 from instok3d.viewer.cameras import Stand, first_stand, stand_of_view, typical_distance
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.panel import Panel
+from instok3d.viewer.picking import pick
 from instok3d.viewer.picture import Picture
 from instok3d.viewer.serving import serve, stop_serving
 from instok3d.viewer.session import Session
@@ -39,7 +40,7 @@ class Viewer:
         self._session = session
         self._lock = threading.RLock()
         self._stopped = False
-        self._server, self._guard = serve(host, port, token, title=title)
+        self._server, self._guard = serve(host, port, token, title=title, hover=self._name_at)
         self._set_first_camera()
         self._picture = Picture(
             self._server, session.shown, stand_at=self._stand_all_at, moved=self._moved
@@ -104,18 +105,27 @@ class Viewer:
         self._picture.with_gizmo = on
 
     def _clicked(self, event: Any, *, add: bool) -> None:
-        camera = event.client.camera
-        height, width = camera.image_height, camera.image_width
-        (x, y, z), (w, i, j, k) = camera.position.tolist(), camera.wxyz.tolist()
-        stand = Stand((x, y, z), (w, i, j, k), float(camera.fov), width / height)
-        right, down = event.screen_pos
+        stand, height, width = _stand_of(event.client.camera)
+        x, y = event.screen_pos
         self._do(
             lambda: self._session.click(
                 stand.cam_from_world(), stand.intrinsics(height, width), height, width,
-                (float(right) * width, float(down) * height), add=add,
+                (float(x) * width, float(y) * height), add=add,
             ),
             event.client,
         )  # fmt: skip
+
+    def _name_at(self, x: float, y: float) -> str:
+        """The key of the object that a browser shows there; empty where several browsers look."""
+        clients = tuple(self._server.get_clients().values())
+        if len(clients) != 1:
+            return ""
+        (stand, height, width), scene = _stand_of(clients[0].camera), self._session.scene
+        found = pick(
+            scene, stand.cam_from_world(), stand.intrinsics(height, width), height, width,
+            (x * width, y * height),
+        )  # fmt: skip
+        return scene.object(found.object).key if found.object else ""
 
     def _set_first_camera(self) -> None:
         scene, camera = self._session.scene, self._server.initial_camera
@@ -161,6 +171,13 @@ class Viewer:
                     client.send_file_download(file.name, file.read_bytes())
 
         self._do(send, client)
+
+
+def _stand_of(camera: Any) -> tuple[Stand, int, int]:
+    """Where a browser's camera stands, and the height and width of its picture."""
+    height, width = camera.image_height, camera.image_width
+    (x, y, z), (w, i, j, k) = camera.position.tolist(), camera.wxyz.tolist()
+    return Stand((x, y, z), (w, i, j, k), float(camera.fov), width / height), height, width
 
 
 def view(

@@ -5,14 +5,16 @@ port: pages and websockets pass `Guard` first, and answers get headers that keep
 itself. What it would offer beyond that is taken away: its public tunnel and uploads.
 """
 
+import asyncio
 import http
-import inspect
 import io
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
 
 from instok3d.viewer.guard import Guard, random_token
 
@@ -41,7 +43,12 @@ def require_viser() -> None:
 
 
 def serve(
-    host: str = "127.0.0.1", port: int = 8080, token: str | None = None, *, title: str
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str | None = None,
+    *,
+    title: str,
+    hover: Callable[[float, float], str],
 ) -> tuple["viser.ViserServer", Guard]:
     """An empty viser server, and who may talk to it.
 
@@ -50,6 +57,7 @@ def serve(
         port: The first one that is free from this on is taken; 0 takes any.
         token: None makes a random one.
         title: Shown at the head of the panel.
+        hover: What the picture shows at x, y in [0, 1], in words; empty for nothing.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
@@ -62,7 +70,7 @@ def serve(
 
     with _STARTING:
         guard = Guard(token or random_token(), host, free_port(host, port))
-        with _guarding(guard) as guarded, redirect_stdout(io.StringIO()):
+        with _guarding(guard, hover) as guarded, redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host, guard.port, label=title, verbose=False)
     if not guarded or server.get_port() != guard.port:
         stop_serving(server)
@@ -113,7 +121,7 @@ def free_port(host: str, first: int) -> int:
 
 
 @contextmanager
-def _guarding(guard: Guard) -> Iterator[list[bool]]:
+def _guarding(guard: Guard, hover: Callable[[float, float], str]) -> Iterator[list[bool]]:
     """Put the guard before viser's own function for requests; the list says whether it was."""
     from websockets.asyncio import server as websockets_server
 
@@ -124,7 +132,7 @@ def _guarding(guard: Guard) -> Iterator[list[bool]]:
         if handler is None or getattr(handler, "__name__", "") != "viser_http_server":
             return original(*arguments, **options)
         guarded.append(True)
-        return original(*arguments, **options | {"process_request": checked(guard, handler)})
+        return original(*arguments, **options | {"process_request": checked(guard, handler, hover)})
 
     websockets_server.serve = guarded_serve  # pyright: ignore[reportAttributeAccessIssue]
     try:
@@ -133,33 +141,59 @@ def _guarding(guard: Guard) -> Iterator[list[bool]]:
         websockets_server.serve = original
 
 
-def checked(guard: Guard, handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Awaitable]:
-    """A function for requests that asks the guard first."""
+def checked(
+    guard: Guard, handler: Callable[[Any, Any], Any], hover: Callable[[float, float], str]
+) -> Callable[[Any, Any], Awaitable]:
+    """A function for requests that asks the guard first, and adds `/hover` to viser's page."""
     from websockets.datastructures import Headers
     from websockets.http11 import Response
+
+    def answer(status: http.HTTPStatus, words: str, **more: str) -> Response:
+        headers = Headers(**{"Content-Type": "text/plain; charset=utf-8"} | KEEP_TO_ITSELF | more)
+        return Response(status, status.phrase, headers, words.encode())
 
     async def check(connection: Any, request: Any) -> Any:
         reason = guard.refusal(request.path, request.headers.get_all)
         if reason is not None:
-            headers = Headers(**{"Content-Type": "text/plain; charset=utf-8"} | KEEP_TO_ITSELF)
-            status = http.HTTPStatus.FORBIDDEN
-            return Response(status, status.phrase, headers, f"refused: {reason}\n".encode())
-        is_websocket = request.headers.get("Upgrade") is not None
-        if not is_websocket and guard.has_token(request.path):
+            return answer(http.HTTPStatus.FORBIDDEN, f"refused: {reason}\n")
+        if request.headers.get("Upgrade") is not None:
+            return handler(connection, request)
+        if guard.has_token(request.path):
             # The token goes from the address, where a screen shows it, into a cookie.
             cookie = f"{guard.cookie}={guard.token}; Path=/; HttpOnly; SameSite=Strict"
-            headers = Headers(**{"Location": "/", "Set-Cookie": cookie} | KEEP_TO_ITSELF)
-            status = http.HTTPStatus.SEE_OTHER
-            return Response(status, status.phrase, headers, b"")
+            more = {"Location": "/", "Set-Cookie": cookie}
+            return answer(http.HTTPStatus.SEE_OTHER, "", **more)
+        if request.path.partition("?")[0] == "/hover":
+            place = place_of(request.path)
+            if place is None:
+                return answer(http.HTTPStatus.BAD_REQUEST, "wanted x and y in [0, 1]\n")
+            return answer(http.HTTPStatus.OK, await asyncio.to_thread(hover, *place))
+        if "Accept-Encoding" in request.headers:
+            del request.headers["Accept-Encoding"]  # for a page as plain text
         response = handler(connection, request)
-        if inspect.isawaitable(response):
-            response = await response
         if response is not None:
+            if response.status_code == http.HTTPStatus.OK:
+                script = (files("instok3d.viewer") / "hover.js").read_bytes()
+                head = b"<script>" + script + b"</script></head>"
+                response.body = response.body.replace(b"</head>", head, 1)
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
             response.headers.update(KEEP_TO_ITSELF)
             response.headers["Content-Security-Policy"] = policy(request.headers["Host"])
         return response
 
     return check
+
+
+def place_of(target: str) -> tuple[float, float] | None:
+    """The x and y in the query of an address; None where they are not numbers in [0, 1]."""
+    try:
+        query = parse_qs(urlsplit(target).query, max_num_fields=16)
+        (x,), (y,) = query.get("x", []), query.get("y", [])
+        place = float(x), float(y)
+    except ValueError:
+        return None
+    return place if all(0 <= value <= 1 for value in place) else None
 
 
 KEEP_TO_ITSELF = {
