@@ -19,7 +19,7 @@ def test_floor_and_wall_are_found_where_they_are(corner: Scene):
     assert ids is not None
     # The floor is y = 1 with up -y, the wall z = 5 and faces the cameras.
     for number, normal, offset in ((FLOOR, (0, -1, 0), -1.0), (WALL, (0, 0, -1), -5.0)):
-        # Far from where both meet: there each has pixels and Gaussians that lie on the other one too.
+        # Far from where both meet: there each has pixels and Gaussians that lie on the other.
         rows = torch.arange(HEIGHT)[:, None].expand(2, HEIGHT, WIDTH)
         rim = ((rows > 40) if number == FLOOR else (rows < 25)).float()
         planes = find_planes(corner.gaussians, look, rim)
