@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from instok3d.scene.record import RefinementRecord
     from instok3d.scene.scene import Scene
 
+MOST_NEIGHBOURS = 3
+"""Of an object that are printed, those with whom it shares most first."""
+
 
 def run(scene: tyro.conf.Positional[Path], /, json: bool = False) -> None:
     """Print what a scene holds, its units and frame, and what it was made with.
@@ -46,9 +49,15 @@ def show_made(
 
 def summary(scene: "Scene") -> dict[str, Any]:
     """The scene in plain values, for --json."""
+    from instok3d.scene.neighbours import as_values
+
+    neighbours = scene.neighbours()
     return {
         "views": [view.file for view in scene.views],
-        "objects": [item.to_json(scene.vertical.up) for item in scene.objects],
+        "objects": [
+            item.to_json(scene.vertical.up) | {"neighbours": as_values(neighbours[item.id])}
+            for item in scene.objects
+        ],
         "num_gaussians": len(scene.gaussians.means),
         "units": scene.units,
         "frame": scene.frame,
@@ -81,14 +90,20 @@ def describe(scene: "Scene") -> str:
     ]
     if scene.objects:
         lines.append("")
-        lines.append(f"{'object':12} {'Gaussians':>9} {'sure':>5} {'best view':>9}  size ({unit})")
+        head = f"{'object':12} {'Gaussians':>9} {'sure':>5} {'best view':>9}"
+        lines.append(f"{head}  {f'size ({unit})':20}  touches (share of its border)")
+    neighbours = scene.neighbours()
     for item in scene.objects:
         size = " x ".join(f"{length:.2f}" for length in item.obb.size)
         named = item.label is None or item.key == f"{item.label}#{item.id}"
         name = item.key if named else f"{item.key} {item.label}"
         view = "none" if item.best_view is None else item.best_view.view
         numbers = f"{item.num_gaussians:9} {item.confidence:5.2f} {view:>9}"
-        lines.append(f"{name:12} {numbers}  {size}{'  hidden' if item.hidden else ''}")
+        touching = ", ".join(
+            f"{each.id} {each.share:.0%}" for each in neighbours[item.id][:MOST_NEIGHBOURS]
+        )
+        hidden = "hidden" if item.hidden else ""
+        lines.append(f"{name:12} {numbers}  {size:20}  {touching or hidden}".rstrip())
     return "\n".join(lines)
 
 

@@ -34,6 +34,6 @@ def run(
     loaded = load_scene(scene, up)
     found = find_scale(loaded, scale)
     if json:
-        print_json(objects_document(loaded, found))
+        print_json(objects_document(loaded, found, loaded.neighbours()))
     else:
         print(objects_csv(loaded, found), end="")

@@ -1,10 +1,12 @@
 """objects.json: the objects of a scene by a published schema, and read again in a scene folder."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from instok3d.reading import naming_damage, one_of, read_json, whole_number
+from instok3d.scene.neighbours import Neighbour, as_values
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 
@@ -28,7 +30,11 @@ def own_scale(scene: SceneRecord) -> Scale:
     return Scale(1.0, "given cameras") if scene.units == "metres" else Scale()
 
 
-def objects_document(scene: SceneRecord, scale: Scale | None = None) -> dict[str, Any]:
+def objects_document(
+    scene: SceneRecord,
+    scale: Scale | None = None,
+    neighbours: Mapping[int, Sequence[Neighbour]] | None = None,
+) -> dict[str, Any]:
     """The objects in plain values, by the schema of `SCHEMA`.
 
     Lengths are in metres where the scale is known, else in scene units. Masks are those of the
@@ -37,9 +43,14 @@ def objects_document(scene: SceneRecord, scale: Scale | None = None) -> dict[str
     Args:
         scene: With any number of views.
         scale: None takes what the scene knows itself.
+        neighbours: Of each object by id, from `Scene.neighbours`; None leaves them out, as in a
+            scene folder, since to find them is to render the input views.
     """
     scale, made = scale or own_scale(scene), scene.provenance
     length = scale.metres_per_unit or 1.0
+    objects = [item.to_json(scene.vertical.up, length=length) for item in scene.objects]
+    if neighbours is not None:
+        objects = [each | {"neighbours": as_values(neighbours[each["id"]])} for each in objects]
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -56,7 +67,7 @@ def objects_document(scene: SceneRecord, scale: Scale | None = None) -> dict[str
             {"file": view.file, "height": scene.height, "width": scene.width}
             for view in scene.views
         ],
-        "objects": [item.to_json(scene.vertical.up, length=length) for item in scene.objects],
+        "objects": objects,
     }
 
 

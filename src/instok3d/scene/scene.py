@@ -18,6 +18,7 @@ from instok3d.scene.edits.holes import holes_left
 from instok3d.scene.edits.ownership import drawn_rows, row_ids
 from instok3d.scene.files import load_record
 from instok3d.scene.id_maps import COLUMNS, group_maps
+from instok3d.scene.neighbours import Neighbour, find_neighbours
 from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
 from instok3d.types import Cameras, Gaussians, Rendering
@@ -142,6 +143,19 @@ class Scene(EditableScene):
         if self.history is None:
             return torch.zeros(len(sized.cameras.intrinsics), *size, dtype=torch.bool)
         return holes_left(self.history, self, sized.cameras, *size)
+
+    def neighbours(self) -> dict[int, tuple[Neighbour, ...]]:
+        """With which others each object shares its surface in the input views, by id.
+
+        The first is the one to `merge` with where a part of an object was left behind. Hidden
+        objects, and those of a scene without views, have none.
+        """
+        ids = [item.id for item in self.objects]
+        if not self.views:
+            return dict.fromkeys(ids, ())
+        pictures = self.render(ids=True)
+        assert pictures.ids is not None
+        return find_neighbours(pictures.ids, pictures.depths, ids)
 
     def part(self, only: int | str | Sequence[int | str]) -> Gaussians:
         """The Gaussians of one or some objects, in the scene's order.
