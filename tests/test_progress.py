@@ -67,7 +67,7 @@ def test_a_line_is_never_longer_than_the_terminal(
 ):
     terminal = on_terminal(monkeypatch)
     size = os.terminal_size((20, 10))
-    monkeypatch.setattr(progress.shutil, "get_terminal_size", lambda: size)
+    monkeypatch.setattr(progress.shutil, "get_terminal_size", lambda **_: size)
     StatusLine().show("previews: object 17 of 120 ...")
     assert terminal.drawn == ["previews: object 17"]
 
