@@ -13,7 +13,7 @@ from instok3d.scene.scene import Scene
 from instok3d.types import Cameras
 from instok3d.viewer.app import Viewer, view
 from instok3d.viewer.cameras import stand_of_view
-from made_scene import HEIGHT, WIDTH, made_scene, made_tokens
+from made_scene import HEIGHT, WIDTH
 from splat_scenes import furnished_scene
 
 pytest.importorskip("viser", reason="needs viser: '.[view]'")
@@ -29,7 +29,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def viewer(scene: Scene) -> Iterator[Viewer]:
-    shown = view(scene, port=0, others={"other.itk": made_scene(made_tokens())})
+    shown = view(scene, port=0)
     yield shown
     shown.stop()
 
@@ -163,37 +163,6 @@ def test_objects_are_selected_together_in_the_list_and_in_the_picture(page: Any,
     until(page, lambda: viewer._session.shown.selected == {1, 2})
     page.get_by_label("object#2").uncheck()
     until(page, lambda: viewer._session.shown.selected == {1})
-
-
-def test_what_is_removed_is_gone_from_the_picture_and_comes_back(
-    page: Any, viewer: Viewer, scene: Scene
-):
-    whole = expected(scene)
-    until(page, lambda: psnr(drawn(viewer, scene), whole) > 40)
-    click(page, 10, 14)
-    until(page, lambda: viewer._session.shown.selected == {1})
-    press(page, "Remove")
-    until(page, lambda: len(viewer.scene.objects) == 1)
-    without = expected(viewer.scene)
-    assert psnr(whole, without) < 25
-    until(page, lambda: psnr(drawn(viewer, scene), without) > 40)
-    press(page, "Undo")
-    until(page, lambda: len(viewer.scene.objects) == 2)
-    viewer._do(viewer._session.select, None)  # what came back is selected
-    until(page, lambda: psnr(drawn(viewer, scene), whole) > 40)
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_object_of_another_scene_is_inserted_where_one_clicked(
-    page: Any, viewer: Viewer, scene: Scene
-):
-    click(page, 10, 14)
-    until(page, lambda: viewer._session.shown.selected == {1})
-    press(page, "Insert where clicked")
-    until(page, lambda: len(viewer.scene.objects) == 3)
-    viewer._do(viewer._session.select, None)
-    until(page, lambda: psnr(drawn(viewer, scene), expected(viewer.scene)) > 40)
-    assert psnr(expected(viewer.scene), expected(scene)) < 35
 
 
 def test_a_name_is_text_and_what_cannot_be_done_is_said(page: Any, viewer: Viewer):
