@@ -19,7 +19,6 @@ from splat_scenes import furnished_scene
 pytest.importorskip("viser", reason="needs viser: '.[view]'")
 
 ENLARGED = 3
-NASTY = "<img src=http://evil.example/x onerror=window.broken=1> ![x](http://evil.example/y)"
 
 
 @pytest.fixture(scope="module")
@@ -163,13 +162,3 @@ def test_objects_are_selected_together_in_the_list_and_in_the_picture(page: Any,
     until(page, lambda: viewer._session.shown.selected == {1, 2})
     page.get_by_label("object#2").uncheck()
     until(page, lambda: viewer._session.shown.selected == {1})
-
-
-def test_a_name_is_text_and_what_cannot_be_done_is_said(page: Any, viewer: Viewer):
-    press(page, "Rename")
-    page.get_by_text("select an object first").wait_for()
-    viewer._do(lambda: viewer._session.select(2), None)
-    viewer._do(lambda: viewer._session.rename(NASTY), None)
-    page.get_by_text(f"{NASTY}#2", exact=True).first.wait_for()
-    assert page.evaluate("() => window.broken === undefined")
-    assert page.locator("img[src*=evil]").count() == 0
