@@ -5,10 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
 import instok3d
+from instok3d.cli import streams
+from instok3d.cli.streams import READER_GONE, Outlet
 from made_model import made_model, made_photos
 
 INSTOK3D = f"{sys.executable} -m instok3d"
@@ -83,3 +86,47 @@ def test_json_with_any_name_is_json_on_any_stream(tmp_path: Path, encoding: str)
     assert shown.returncode == 0
     found = json.loads(shown.stdout.partition(b"\n")[2].decode(encoding))
     assert found == {"names": list(names)}
+
+
+@pytest.mark.parametrize("line_buffering", [False, True])
+def test_what_a_signal_interrupts_is_never_written_twice(tmp_path: Path, line_buffering: bool):
+    # A signal's exception comes between two instructions of Python: at each one in turn.
+    for instruction in range(1000):
+        path = tmp_path / str(instruction)
+        with path.open("wb") as file:
+            stream = Outlet(
+                file.fileno(), READER_GONE, encoding="utf-8", line_buffering=line_buffering
+            )
+            interrupted = print_interrupted(stream, instruction)
+            stream.close()
+        assert path.read_text() in ("", "line", "line\n")
+        if not interrupted:
+            break
+    assert 10 < instruction < 999
+    assert path.read_text() == "line\n"
+
+
+def print_interrupted(stream: Outlet, instruction: int) -> bool:
+    """Print a line; an instruction of the stream's Python code, counted from 0, is interrupted."""
+    left = instruction
+
+    def trace(frame: FrameType, event: str, _argument: object):
+        nonlocal left
+        if frame.f_code.co_filename != streams.__file__:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        print("line", file=stream, flush=True)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False

@@ -5,6 +5,7 @@ import io
 import os
 import sys
 from collections.abc import Collection
+from typing import Any
 
 READER_GONE = (errno.EPIPE, errno.EIO)
 """The pipe is closed (`| head`), or the terminal: nobody waits for the rest."""
@@ -12,26 +13,40 @@ LOST_NOTES = (*READER_GONE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """On stderr a full disk loses only notes."""
 
 
-class Outlet(io.FileIO):
-    """A standard stream that takes everything once its reader is gone."""
+class Outlet(io.TextIOWrapper):
+    """A standard stream that takes everything once its reader is gone.
 
-    def __init__(self, number: int, ignored: Collection[int]):
-        super().__init__(number, "w", closefd=False)
+    Errors are met here and not where bytes are written: a signal's exception in Python code between
+    a write and the buffer that waits for its answer would have the buffer write the same again.
+    """
+
+    def __init__(self, number: int, ignored: Collection[int], **options: Any):
+        super().__init__(io.BufferedWriter(io.FileIO(number, "w", closefd=False)), **options)
         self._ignored = ignored
 
-    def write(self, data, /) -> int:
-        """As `FileIO.write`; after an error everything more goes to the null device.
+    def write(self, text: str, /) -> int:
+        """As `TextIOWrapper.write`; after an error everything more goes to the null device.
 
         Raises:
             OSError: Of a kind that is not ignored.
         """
         try:
-            return super().write(data) or 0
+            return super().write(text)
         except OSError as error:
-            _to_null_device(self.fileno())
-            if error.errno not in self._ignored:
-                raise
-            return memoryview(data).nbytes
+            self._lose(error)
+            return len(text)
+
+    def flush(self) -> None:
+        """As `TextIOWrapper.flush`, with the errors of `write`."""
+        try:
+            super().flush()
+        except OSError as error:
+            self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        _to_null_device(self.fileno())
+        if error.errno not in self._ignored:
+            raise error
 
 
 def keep_streams() -> None:
@@ -52,8 +67,9 @@ def keep_streams() -> None:
         # Streams that a program put in their place, such as a notebook or a test, stay.
         if stream is getattr(sys, f"__{name}__") and isinstance(stream, io.TextIOWrapper):
             stream.flush()
-            safe = io.TextIOWrapper(
-                io.BufferedWriter(Outlet(stream.fileno(), ignored)),
+            safe = Outlet(
+                stream.fileno(),
+                ignored,
                 encoding=stream.encoding,
                 errors="backslashreplace",
                 line_buffering=stream.line_buffering or stream.write_through,
