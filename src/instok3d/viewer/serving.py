@@ -7,11 +7,10 @@ itself. What it would offer beyond that is taken away: its public tunnel and upl
 
 import asyncio
 import http
-import io
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
@@ -70,7 +69,7 @@ def serve(
 
     with _STARTING:
         guard = Guard(token or random_token(), host, free_port(host, port))
-        with _guarding(guard, hover) as guarded, redirect_stdout(io.StringIO()):
+        with _guarding(guard, hover) as guarded, _viser_silent():
             server = viser.ViserServer(host, guard.port, label=title, verbose=False)
     if not guarded or server.get_port() != guard.port:
         stop_serving(server)
@@ -91,11 +90,24 @@ def serve(
 
 def stop_serving(server: "viser.ViserServer") -> None:
     """End a server and its thread."""
-    with redirect_stdout(io.StringIO()):  # viser prints a farewell from that thread
+    with _viser_silent():  # it prints a farewell from that thread
         server.stop()
         thread = server._websock_server._server_thread
         if thread is not None:
             thread.join(STOP_S)
+
+
+@contextmanager
+def _viser_silent() -> Iterator[None]:
+    """Have viser print nothing, in any thread; all others print as before."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
 
 
 def free_port(host: str, first: int) -> int:
