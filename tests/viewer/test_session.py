@@ -266,3 +266,25 @@ def test_previews_are_renewed_where_they_are_and_were_outdated(folder: Path):
     opened.keep(edited)
     opened.renew_previews(edited)
     assert (folder / "previews" / "contact_sheet.png").is_file()
+
+
+def test_an_object_is_merged_with_one_that_it_touches(session: Session, scene: Scene):
+    assert session.touching() == {}
+    with pytest.raises(ValueError, match="select an object first"):
+        session.merge_with(3)
+    session.select(1)
+    assert session.touching() == {}
+    with pytest.raises(ValueError, match="object#1 touches no other object"):
+        session.merge_with(None)
+    low, high = scene.object(1).aabb.min, scene.object(1).aabb.max
+    lower_half = ((low[0] - 1, low[1] - 1, low[2] - 1), (high[0], (low[1] + high[1]) / 2, high[2]))
+    session.edit(lambda scene: scene.split(1, box=lower_half))
+    new = session.scene.objects[-1].id
+    session.select(1)
+    (words,) = session.touching()
+    assert words.startswith(f"object#{new} (")
+    assert session.touching()[words] == new
+    session.merge_with(session.touching()[words])
+    assert ids(session) == [1]
+    assert session.touching() == {}
+    assert session.scene.object(1).num_gaussians == scene.object(1).num_gaussians

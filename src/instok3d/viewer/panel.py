@@ -18,6 +18,7 @@ from instok3d.webpage.page import size_words, thumbnail
 if TYPE_CHECKING:
     import viser
 
+NONE: str = "none"
 LISTED = 200
 """Objects in the list, those with the most Gaussians; the others are selected in the picture."""
 
@@ -95,6 +96,8 @@ class Panel:
         for item in scene.objects:
             if item.id in wanted:
                 self._show_row(item)
+        touching = tuple(session.touching())  # last: it may take a moment
+        self._neighbour.options, self._neighbour.disabled = touching or (NONE,), not touching
 
     def _show_row(self, item: SceneObject) -> None:
         selected = item.id in self._session.shown.selected
@@ -151,6 +154,12 @@ class Panel:
                 "Remove": lambda: session.remove(fill=fill.value), "Duplicate": session.duplicate
             })  # fmt: skip
             self._buttons("Objects", {"Merge": session.merge, "Split": session.split})
+            self._neighbour = self._gui.add_dropdown("Touches", (NONE,), disabled=True)
+            self._button(
+                "Merge with it",
+                lambda: session.merge_with(session.touching().get(self._neighbour.value)),
+                "With the neighbour above: a chair's base may be a part of another object",
+            )
             label = self._gui.add_text("Name", "")
             self._button("Rename", lambda: session.rename(label.value))
 
@@ -235,4 +244,4 @@ def row(scene: Scene, item: SceneObject, picture: str, *, named: bool = False) -
 
 def keys_of(scene: Scene) -> tuple[str, ...]:
     """Keys of the objects, for a list to choose from."""
-    return tuple(item.key for item in scene.objects) or ("none",)
+    return tuple(item.key for item in scene.objects) or (NONE,)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from instok3d.geometry.moving import Point, Quaternion, Similarity
 from instok3d.scene.edits.arguments import Number
+from instok3d.scene.neighbours import Neighbour
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
 from instok3d.viewer.folder import SceneFolder
@@ -56,6 +57,7 @@ class Session:
         self._shown = Shown(scene)
         self._folder = folder
         self._lock = threading.RLock()
+        self._neighbours: tuple[Scene | None, dict[int, tuple[Neighbour, ...]]] = None, {}
         self.others = dict(others)
 
     @property
@@ -192,6 +194,35 @@ class Session:
         largest_first = sorted(self.selected, key=lambda item: -item.num_gaussians)
         self._wanted(2)
         self.edit(lambda scene: scene.merge(*(item.id for item in largest_first)))
+
+    def touching(self) -> dict[str, int]:
+        """The neighbours of the selected object, ids by words for a list to choose from.
+
+        Those along most of its border come first; none where not exactly one is selected. The
+        first call after an edit renders the input views, which takes a moment.
+        """
+        scene, selected = self.scene, self.selected
+        if len(selected) != 1:
+            return {}
+        with self._lock:
+            if self._neighbours[0] is not scene:
+                self._neighbours = scene, scene.neighbours()
+            found = self._neighbours[1][selected[0].id]
+        return {f"{scene.object(each.id).key} ({each.share:.0%} of the border)": each.id
+                for each in found}  # fmt: skip
+
+    def merge_with(self, neighbour: int | None) -> None:
+        """Join the selected object and another one; the selected one keeps its id and names.
+
+        Raises:
+            ValueError: No object is selected, or more than one, or it touches no other.
+        """
+        which = self._one()
+        if neighbour is None:
+            raise ValueError(
+                f"{self.scene.object(which).key} touches no other object in the photos"
+            )
+        self.edit(lambda scene: scene.merge(which, neighbour))
 
     def rename(self, label: str) -> None:
         """Give the selected object a label."""
