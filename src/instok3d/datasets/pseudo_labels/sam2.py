@@ -1,12 +1,11 @@
 """SAM 2 and 2.1 through transformers (`pip install 'instok3d[models]'`) as proposer and tracker.
 
-The only file that imports transformers. Its processors need torchvision, so pictures are resized
+Its processors in transformers need torchvision, so pictures are resized
 and normalised here. Every track has a session of its own: tracks can be dropped one by one, and
 what SAM 2 no longer looks at is thrown away, so a clip may be of any length.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,9 @@ from instok3d.datasets.pseudo_labels.automatic import (
 )
 from instok3d.datasets.pseudo_labels.interfaces import ProposedMasks, TrackedMask
 from instok3d.files import sha256_of
-from instok3d.reading import UNREADABLE, naming_damage, read_json, reason_of
+from instok3d.transformers_models import WEIGHTS, check_folder, import_transformers, load_model
 
-WEIGHTS = "model.safetensors"
-CONFIG = "config.json"
-REMEDY = "fetch it again"
+WHAT = "SAM 2"
 _AUTOMATIC = AutomaticConfig()
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -54,12 +51,12 @@ class Sam2:
         automatic: AutomaticConfig = _AUTOMATIC,
         device: torch.device | str = "cpu",
     ) -> None:
-        transformers = _transformers()
-        _check_folder(folder)
+        transformers = import_transformers(WHAT)
+        check_folder(folder, ["sam2_video"], WHAT, "sam2.1-hiera-large")
         self.device = torch.device(device)
         self.version: str = transformers.__version__
         self._sha256 = sha256_of(folder / WEIGHTS)
-        self._video = _loaded(transformers.Sam2VideoModel, folder).to(self.device)
+        self._video = load_model(transformers.Sam2VideoModel, folder, WHAT).to(self.device)
         image = _image_model(transformers, self._video)
         self._automatic = AutomaticMasks(_Segmenter(image, self.device), automatic)
 
@@ -212,36 +209,6 @@ def mask_prompt(
     return (inside if inside.any() else share > 0).float()
 
 
-def _transformers() -> Any:
-    try:
-        import transformers
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "SAM 2 needs the package transformers; install it with: pip install 'instok3d[models]'"
-        ) from error
-    if int(transformers.__version__.split(".")[0]) < 5:
-        raise ValueError(
-            f"transformers {transformers.__version__} is too old; 5 or newer is needed"
-        )
-    return transformers
-
-
-def _check_folder(folder: Path) -> None:
-    for name in (CONFIG, WEIGHTS):
-        if not (folder / name).is_file():
-            raise FileNotFoundError(
-                f"there is no {name} in {folder}; a folder of SAM 2 weights holds {CONFIG} and "
-                f"{WEIGHTS}"
-            )
-    with naming_damage(folder / CONFIG, REMEDY):
-        kind = read_json(folder / CONFIG, REMEDY)["model_type"]
-    if kind != "sam2_video":
-        raise ValueError(
-            f"{folder / CONFIG} is of the model type {kind!r}, not 'sam2_video'; give weights such "
-            "as sam2.1-hiera-large"
-        )
-
-
 def _image_model(transformers: Any, video: Any) -> Any:
     """The model of single images that is inside the one of videos; they share all weights."""
     config = video.config
@@ -256,45 +223,3 @@ def _image_model(transformers: Any, video: Any) -> Any:
                  "no_memory_embedding"):  # fmt: skip
         setattr(image, part, getattr(video, part))
     return image.eval()
-
-
-def _loaded(kind: Any, folder: Path) -> Any:
-    """A model whose every weight came from the file."""
-    from huggingface_hub.errors import StrictDataclassError  # a value of another type
-
-    try:
-        with _quiet():
-            model, report = kind.from_pretrained(
-                folder,
-                local_files_only=True,
-                use_safetensors=True,
-                dtype=torch.float32,
-                output_loading_info=True,
-            )
-    except (*UNREADABLE, StrictDataclassError) as error:
-        raise ValueError(
-            f"{folder / WEIGHTS} cannot be read as SAM 2 of the sizes in {CONFIG}: "
-            f"{reason_of(error)}; {REMEDY}"
-        ) from error
-    if report["missing_keys"]:
-        raise ValueError(
-            f"{folder / WEIGHTS} lacks {len(report['missing_keys'])} weights of SAM 2, such as "
-            f"{sorted(report['missing_keys'])[0]}; fetch it again"
-        )
-    return model.eval()
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep transformers' own bars and reports off the screen; what is wrong is raised here."""
-    from transformers.utils import logging
-
-    verbosity, had_bar = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    logging.set_verbosity_error()
-    logging.disable_progress_bar()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(verbosity)
-        if had_bar:
-            logging.enable_progress_bar()
