@@ -1,6 +1,9 @@
 import os
 import pickle
 import re
+import sys
+import types
+import zipfile
 from collections import OrderedDict
 from pathlib import Path
 
@@ -64,6 +67,41 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, way: str):
     assert not mark.exists()
     assert "weights_only" not in str(refusal.value)  # torch tells how to run it all the same
     assert re.search(": [Uu]nsupported ", str(refusal.value))
+
+
+def test_classes_of_a_trainer_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # Lightning before 1.5 keeps the state of a callback under the callback's class.
+    name = "pytorch_lightning.callbacks.model_checkpoint"
+    module = types.ModuleType(name)
+    callback = type("ModelCheckpoint", (), {"__module__": name})
+    settings = type("AttributeDict", (dict,), {"__module__": name})
+    module.ModelCheckpoint, module.AttributeDict = callback, settings
+    monkeypatch.setitem(sys.modules, "pytorch_lightning", types.ModuleType("pytorch_lightning"))
+    monkeypatch.setitem(
+        sys.modules, "pytorch_lightning.callbacks", types.ModuleType("pytorch_lightning.callbacks")
+    )
+    monkeypatch.setitem(sys.modules, name, module)
+    content = {
+        "callbacks": {callback: {"best": torch.tensor(0.5)}},
+        "hyper_parameters": settings(rate=0.1),
+        "state_dict": {"net.w": torch.ones(2)},
+    }
+    torch.save(content, tmp_path / "a.ckpt")
+    done = convert_checkpoint(tmp_path / "a.ckpt", tmp_path / "a.safetensors", level="state_dict")
+    assert done.tensors == 1
+    assert load_file(tmp_path / "a.safetensors")["net.w"].tolist() == [1, 1]
+
+
+def test_functions_of_a_trainer_are_not_run(tmp_path: Path):
+    # Whatever is called under such a name, an empty dictionary comes of it.
+    mark = tmp_path / "it ran"
+    code = f"cpytorch_lightning.os\nsystem\n(S'touch {mark}'\ntR."
+    with zipfile.ZipFile(tmp_path / "bad.pt", "w") as archive:
+        archive.writestr("bad/data.pkl", code)
+        archive.writestr("bad/version", "3\n")
+    with pytest.raises(ValueError, match=r"bad\.pt"):
+        convert_checkpoint(tmp_path / "bad.pt", tmp_path / "bad.safetensors")
+    assert not mark.exists()
 
 
 def test_a_refusal_leaves_what_was_there(tmp_path: Path):

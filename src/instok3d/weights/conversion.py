@@ -9,6 +9,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 MOST_REPETITION = 64
 """Tensors may share memory in a checkpoint, and are whole in a safetensors file: no more than so
 many times its size."""
+
+
+TRAINERS = ("pytorch_lightning.", "lightning.")
+"""Packages whose classes in a checkpoint are read as plain dictionaries instead of refused."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,8 @@ def _read(checkpoint: Path) -> Any:
     # Only the newer, zipped files can be mapped instead of read.
     mapped = zipfile.is_zipfile(checkpoint)
     try:
-        return torch.load(checkpoint, map_location="cpu", weights_only=True, mmap=mapped)
+        with torch.serialization.safe_globals(_stand_ins(checkpoint) if mapped else []):
+            return torch.load(checkpoint, map_location="cpu", weights_only=True, mmap=mapped)
     except pickle.UnpicklingError as error:
         raise ValueError(
             "is refused, it holds more than tensors and plain values (or is no checkpoint)"
@@ -169,6 +175,18 @@ def _read(checkpoint: Path) -> Any:
         if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise
         raise ValueError(f"is not a whole checkpoint: {reason_of(error)}") from error
+
+
+def _stand_ins(checkpoint: Path) -> list[Any]:
+    """Plain dictionaries in place of the classes of a trainer that a checkpoint names.
+
+    PyTorch Lightning before 1.5 keeps the state of each callback under the callback's class, so
+    that the class is named in checkpoints such as LSeg's. The package itself is never imported.
+    """
+    import torch
+
+    names = torch.serialization.get_unsafe_globals_in_checkpoint(checkpoint)
+    return [(OrderedDict, name) for name in names if name.startswith(TRAINERS)]
 
 
 def _found(error: Exception) -> str:
