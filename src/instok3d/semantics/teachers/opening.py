@@ -1,0 +1,53 @@
+"""Teachers of others by their names on the command line: `--teacher clip:FOLDER`."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+FORMS = ("lseg:FILE", "clip:FOLDER", "siglip2:FOLDER", "dino:FOLDER")
+"""What `open_teacher` takes."""
+
+
+def open_teacher(text: str, device: torch.device | str = "cpu") -> Any:
+    """The teacher that a text names, with its weights.
+
+    Args:
+        text: One of FORMS.
+        device: Where it runs.
+
+    Raises:
+        ValueError: The text is none of these, or the weights are not what they should be.
+        FileNotFoundError: There are no such weights.
+        ModuleNotFoundError: The package that runs them is not installed.
+    """
+    kind, _, place = text.partition(":")
+    kinds = {"lseg": _lseg, "clip": _clip, "siglip2": _siglip, "dino": _dino}
+    if kind not in kinds or not place:
+        raise ValueError(f"{text!r} names no teacher; wanted is one of {', '.join(FORMS)}")
+    return kinds[kind]()(Path(place), device)
+
+
+def _lseg() -> Callable[..., Any]:
+    from instok3d.semantics.teachers.lseg import LSegTeacher
+
+    return LSegTeacher
+
+
+def _clip() -> Callable[..., Any]:
+    from instok3d.semantics.teachers.pretrained import ClipTeacher
+
+    return ClipTeacher
+
+
+def _siglip() -> Callable[..., Any]:
+    from instok3d.semantics.teachers.pretrained import SiglipTeacher
+
+    return SiglipTeacher
+
+
+def _dino() -> Callable[..., Any]:
+    from instok3d.semantics.teachers.pretrained import DinoTeacher
+
+    return DinoTeacher
