@@ -30,7 +30,7 @@ class FakeRooms:
 
 
 def take_frames(scene: SceneFrames, chosen: Sequence[int]) -> SceneFrames:
-    tensors = {key: value for key, value in vars(scene).items() if key != "name"}
+    tensors = {k: v for k, v in vars(scene).items() if k not in ("name", "words")}
     return SceneFrames(name=scene.name, **{k: v[list(chosen)] for k, v in tensors.items()})
 
 

@@ -6,8 +6,11 @@ from torch.nn import functional
 
 from fake_rooms import FakeRooms
 from instok3d.data.batches import make_sample
+from instok3d.data.joined import JoinedScenes
+from instok3d.data.mirror import mirror_sample
 from instok3d.data.sample import collate, photos_only
 from instok3d.data.view_sampling import FrameChoice
+from instok3d.data.words import ObjectWords
 from instok3d.geometry.cameras import invert_rigid, project, transform_points, unproject
 
 
@@ -74,3 +77,12 @@ def test_collate_refuses_what_only_some_samples_know(sample):
     with pytest.raises(ValueError, match="intrinsics must be known in all samples"):
         collate([sample, bare])
     assert collate([bare, bare]).context.depths is None
+
+
+def test_words_travel_with_their_scene(sample):
+    words = {1: ObjectWords("box", "red", "cardboard")}
+    named = replace(sample, words=(words,))
+    assert sample.words == ({},)
+    assert collate([sample, named]).words == ({}, words)
+    assert mirror_sample(named).words == named.to("cpu").words == (words,)
+    assert JoinedScenes([FakeRooms(1)]).frames(0, [0]).words == {}

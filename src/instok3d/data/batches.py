@@ -303,4 +303,5 @@ def make_sample(
         target_instances=instances[target][None],
         names=(f"{scene.name} frames {frame_names}",),
         frames=(choice,),
+        words=(scene.words,),
     )

@@ -1,6 +1,6 @@
 """One training or test example: context views that are given, target views that are asked for."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -8,6 +8,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.data.view_sampling import FrameChoice
+from instok3d.data.words import ObjectWords
 from instok3d.types import Views
 
 
@@ -33,6 +34,12 @@ class Sample:
     scene/views/number. Empty where frames are drawn anew every time."""
     frames: tuple[FrameChoice, ...] = ()
     """Which frames of its scene each sample holds; empty where nobody said."""
+    words: tuple[Mapping[int, ObjectWords], ...] = ()
+    """Of instance ids, one mapping for each sample, empty where its data set knows none."""
+
+    def __post_init__(self) -> None:
+        if not self.words:
+            object.__setattr__(self, "words", tuple({} for _ in self.names))
 
     def to(self, device: torch.device | str) -> "Sample":
         """The same sample with its tensors on another device."""
@@ -64,6 +71,7 @@ def collate(samples: Sequence[Sample]) -> Sample:
         names=tuple(name for s in samples for name in s.names),
         keys=tuple(key for s in samples for key in s.keys),
         frames=tuple(choice for s in samples for choice in s.frames),
+        words=tuple(each for s in samples for each in s.words),
     )
 
 

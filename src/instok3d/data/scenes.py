@@ -1,11 +1,13 @@
 """What every data set offers: scenes by number, of which single frames can be read."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
+
+from instok3d.data.words import ObjectWords
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,8 @@ class SceneFrames:
     world_from_cam: Float[Tensor, "frame 4 4"]
     intrinsics: Float[Tensor, "frame 3 3"]
     """Pixels of these images."""
+    words: Mapping[int, ObjectWords] = field(default_factory=dict)
+    """Of instance ids of the scene, in these frames or not; empty where none are known."""
 
 
 @runtime_checkable

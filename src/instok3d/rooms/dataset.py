@@ -106,6 +106,7 @@ class RoomDataset:
             depths_m=shard.read_frames("depths_mm", row, chosen).to(torch.float32) / 1000,
             world_from_cam=shard.read_frames("world_from_cam", row, chosen),
             intrinsics=shard.read_frames("intrinsics", row, chosen),
+            words=shard.words[row],
         )
 
     def scene(self, number: int) -> RoomScene:

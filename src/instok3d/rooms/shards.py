@@ -21,6 +21,7 @@ from instok3d.rooms.catalogues.opened import check_record
 from instok3d.rooms.levels import LEVELS
 from instok3d.rooms.scene import RenderedScene
 from instok3d.rooms.seeding import GENERATOR_VERSION
+from instok3d.rooms.words import stored_words
 
 FORMAT = "instok3d-rooms-1"
 REMEDY = "delete it and make the rooms again"
@@ -135,6 +136,7 @@ class Shard:
             for meta in metas:
                 one_of(meta["level"], tuple(LEVELS))
             self.metas: list[dict[str, Any]] = metas
+            self.words = [stored_words(meta) for meta in metas]
             picture = (len(seeds), frames, resolution, resolution)
             self._check("images", "U8", (*picture, 3))
             self._check("instances", "U16", picture)
