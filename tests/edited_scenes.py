@@ -16,7 +16,7 @@ from instok3d.types import check_gaussians
 
 def tensors_of(scene: SceneRecord) -> list[torch.Tensor]:
     """Every tensor of a scene."""
-    stages = (scene.gaussians, scene.tokens, scene.cameras)
+    stages = (scene.gaussians, scene.tokens, scene.cameras, *scene.semantics.values())
     return [value for stage in stages for value in vars(stage).values()] + [scene.photos]
 
 
@@ -38,6 +38,10 @@ def assert_consistent(scene: SceneRecord, *, sight: bool = False) -> None:
     assert len(tokens.positions) == len(tokens.anchors) == len(tokens.assignment)
     assert tokens.assignment.shape[1] == num_groups + 1
     assert float((tokens.assignment.sum(1) - 1).abs().max().nan_to_num()) < 1e-4
+    for one in scene.semantics.values():
+        assert len(one.shared) == num_groups
+        assert len(one.residuals) == len(one.mixing) == len(tokens.positions)
+        assert float((one.mixing.sum(1) - 1).abs().max().nan_to_num()) < 1e-3
     ids = [item.id for item in scene.objects]
     assert ids == sorted(set(ids))
     assert len({item.key for item in scene.objects}) == len(ids)

@@ -8,6 +8,8 @@ from instok3d.photos.pixel_map import fit_pixels
 from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
+from instok3d.scene.semantics import SceneSemantics, scene_semantics
+from instok3d.semantics.tokens import SemanticTokens
 from instok3d.types import Anchors, Cameras, Gaussians, Geometry, TokenGroups
 
 HEIGHT, WIDTH = 24, 32
@@ -85,7 +87,21 @@ def made_scene(tokens: TokenGroups, **options) -> Scene:
         provenance=Provenance("instok3d 0", "made by hand", "0" * 64, seed=0),
         **options,
     )
-    return with_objects(bare)
+    return with_objects(replace(bare, semantics={"made-3": made_semantics(bare)}))
+
+
+def made_semantics(scene: Scene, basis: int = 2) -> SceneSemantics:
+    """Features of three channels, each group's around a value of its own, to compare and carry."""
+    groups, anchors = len(scene.tokens.groups), len(scene.tokens.positions)
+    generator = torch.Generator().manual_seed(5)
+    shared = torch.nn.functional.one_hot(torch.arange(groups) % 3, 3).float()[:, None]
+    tokens = SemanticTokens(
+        (shared + 0.1 * torch.randn(groups, basis, 3, generator=generator))[None],
+        torch.randn(1, anchors, 2, generator=generator),
+        torch.rand(1, anchors, basis, generator=generator).softmax(-1),
+        torch.randn(3, 2, generator=generator),
+    )
+    return scene_semantics(tokens)
 
 
 def made_empty_scene() -> Scene:

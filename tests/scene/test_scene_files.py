@@ -27,6 +27,11 @@ def assert_same(first: Scene, second: Scene) -> None:
         value, other = getattr(first, name), getattr(second, name)
         if isinstance(value, torch.Tensor):
             assert torch.equal(value, other), name
+        elif name == "semantics":
+            assert list(value) == list(other)
+            for encoder, one in value.items():
+                for part, tensor in vars(one).items():
+                    assert torch.equal(tensor, getattr(other[encoder], part)), f"{encoder}.{part}"
         elif hasattr(value, "__dataclass_fields__") and name not in ("provenance", "vertical"):
             for part, tensor in vars(value).items():
                 assert torch.equal(tensor, getattr(other, part)), f"{name}.{part}"
@@ -50,7 +55,7 @@ def test_a_scene_folder_holds_what_it_promises(tmp_path: Path, scene: Scene):
     scene.save(tmp_path / "room.itk")
     assert sorted(contents(tmp_path / "room.itk")) == [
         "cameras.json", "gaussians.safetensors", "inputs/000.png", "inputs/001.png",
-        "objects.json", "scene.json", "tokens.safetensors",
+        "objects.json", "scene.json", "semantics/made-3.safetensors", "tokens.safetensors",
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["room.itk"]
     header = json.loads((tmp_path / "room.itk/scene.json").read_text())

@@ -3,7 +3,8 @@
 scene.json: version, units, frame, model, seed, hashes of the photos, warnings. cameras.json: a
 list, one entry a view. objects.json: the objects by a published schema. gaussians.safetensors and
 tokens.safetensors: the fields of `Gaussians` and `SceneTokens`, float32 (anchor_index int64).
-inputs/NNN.png: the photos as the model saw them. docs/formats.md has every field; what else lies
+inputs/NNN.png: the photos as the model saw them. semantics/ENCODER.safetensors, where there are
+any: `SceneSemantics` as float16. docs/formats.md has every field; what else lies
 in the folder, such as previews/, is not read.
 """
 
@@ -47,6 +48,7 @@ from instok3d.scene.record import (
     SceneView,
     near_and_far,
 )
+from instok3d.scene.semantic_files import read_semantics, write_semantics
 from instok3d.scene.sight import looked_at_later
 from instok3d.scene.versions import FROM_GAUSSIANS, VERSION, upgraded
 from instok3d.scene.vertical import Vertical, find_vertical
@@ -103,7 +105,10 @@ def save_record(
         _write_json(part / "cameras.json", _cameras_json(scene))
         _write_json(part / "objects.json", objects_document(scene))
         digests = {name: sha256_of(part / name) for name in sorted(TENSOR_FILES)}
-        _write_json(part / "scene.json", _scene_json(scene, digests) | {"edited": edited})
+        header = _scene_json(scene, digests) | {"edited": edited}
+        if scene.semantics:
+            header["semantics"] = write_semantics(part, scene.semantics)
+        _write_json(part / "scene.json", header)
 
 
 def gaussians_sha256(gaussians: Gaussians) -> str:
@@ -148,6 +153,7 @@ def load_record(path: Path) -> SceneRecord:
     with naming_damage(file, REMEDY):
         about = _about(header)
         digests = {name: text(header["sha256"][name]) for name in TENSOR_FILES}
+        encoders = {name: text(value) for name, value in dict(header.get("semantics", {})).items()}
     height, width = about["height"], about["width"]
     gaussians = _read_gaussians(path, digests)
     tokens = _read_tokens(path, digests)
@@ -171,6 +177,9 @@ def load_record(path: Path) -> SceneRecord:
         views=views,
         objects=objects,
         photos=_read_photos(path / header["inputs_folder"], len(views), height, width),
+        semantics=read_semantics(
+            path, encoders, REMEDY, groups=len(tokens.groups), anchors=num_anchors
+        ),
     )
     whole = all(len(item.sight.masks) == len(item.visible_in) for item in objects)
     return record if whole else looked_at_later(record)  # versions 1 to 3 kept no masks

@@ -49,6 +49,8 @@ def objects_document(
     scale, made = scale or own_scale(scene), scene.provenance
     length = scale.metres_per_unit or 1.0
     objects = [item.to_json(scene.vertical.up, length=length) for item in scene.objects]
+    if scene.semantics:
+        objects = [each | {"embedding_row": each["id"] - 1} for each in objects]
     if neighbours is not None:
         objects = [each | {"neighbours": as_values(neighbours[each["id"]])} for each in objects]
     return {

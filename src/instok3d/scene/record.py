@@ -1,6 +1,7 @@
 """What a scene consists of, without anything that is done with it: what a scene folder holds."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from jaxtyping import Float, UInt8
@@ -9,6 +10,7 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.photos.pixel_map import PixelMap
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.semantics import NO_SEMANTICS, SceneSemantics
 from instok3d.scene.vertical import Vertical
 from instok3d.types import Cameras, Flow, Gaussians
 
@@ -144,6 +146,8 @@ class SceneRecord:
     warnings: tuple[str, ...]
     """What was left out, guessed or ignored on the way here."""
     provenance: Provenance
+    semantics: Mapping[str, SceneSemantics] = field(default_factory=lambda: NO_SEMANTICS)
+    """What 2D encoders say of groups and anchors, by the encoder's name."""
 
     def __repr__(self) -> str:
         return (

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from instok3d.model.memory import refuse_beyond
@@ -21,6 +21,7 @@ from instok3d.scene.id_maps import COLUMNS, group_maps
 from instok3d.scene.neighbours import Neighbour, find_neighbours
 from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.picture_size import SizedCameras, check_picture_size, resize_cameras
+from instok3d.semantics.tokens import pixel_features, render_semantics
 from instok3d.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
@@ -156,6 +157,40 @@ class Scene(EditableScene):
         pictures = self.render(ids=True)
         assert pictures.ids is not None
         return find_neighbours(pictures.ids, pictures.depths, ids)
+
+    @torch.no_grad()
+    def render_features(
+        self,
+        encoder: str,
+        cameras: Cameras | Sequence[int] | None = None,
+        height: int | None = None,
+        width: int | None = None,
+    ) -> Float[Tensor, "view feature rows columns"]:
+        """What an encoder sees in pictures of the scene: F of every pixel (Eq. 7).
+
+        Not divided by alpha, so that nothing is zeros. Not differentiable.
+
+        Args:
+            encoder: A name among `semantics`.
+            cameras: As of `render`, likewise height and width.
+            height: Of the maps, pixels.
+            width: Likewise.
+
+        Raises:
+            KeyError: The scene has no semantics of this encoder.
+            ValueError: As `render`.
+        """
+        if encoder not in self.semantics:
+            known = ", ".join(self.semantics) or "none"
+            raise KeyError(f"the scene has no semantics of {encoder!r}; there are: {known}")
+        sized, (near, far) = self._sized(cameras, height, width), self.near_far
+        tokens = self.semantics[encoder].batched()
+        maps = render_semantics(
+            self.drawn_gaussians().map(lambda value: value[None]), self.tokens.assignment[None],
+            tokens, sized.cameras.map(lambda value: value[None]), sized.height, sized.width,
+            near=near, far=far,
+        )  # fmt: skip
+        return pixel_features(maps, tokens)[0]
 
     def part(self, only: int | str | Sequence[int | str]) -> Gaussians:
         """The Gaussians of one or some objects, in the scene's order.

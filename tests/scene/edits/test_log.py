@@ -127,7 +127,7 @@ def test_killed_at_any_operation_the_log_is_whole_or_the_old_one(tmp_path: Path,
         names = sorted(each.name for each in (folder / "room.itk").iterdir())
         assert names == sorted([
             "cameras.json", "edits", "edits.jsonl", "gaussians.safetensors", "inputs",
-            "objects.json", "scene.json", "tokens.safetensors",
+            "objects.json", "scene.json", "semantics", "tokens.safetensors",
         ]) or len(loaded.edits) == 2  # fmt: skip
         assert len(instok3d.load(folder / "room.itk").edits) == 2
     assert found == {1, 2}
@@ -169,8 +169,8 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     "its first line says 11": lines_changed(lambda rows: rows[0].update(done=11)),
     "says 9": lambda p: (lines_changed(lambda rows: rows[0].update(done=9))(p),
                          lines_changed(lambda rows: rows.__delitem__(slice(9, None)))(p)),
-    "reads logs of version 2, not 3; use a newer": lines_changed(
-        lambda rows: rows[0].update(version=3)
+    "reads logs of version 3, not 4; use a newer": lines_changed(
+        lambda rows: rows[0].update(version=4)
     ),
     "its format is 'other'": lines_changed(lambda rows: rows[0].update(format="other")),
     "belongs to another scene": lines_changed(lambda rows: rows[0].update(source="0" * 64)),

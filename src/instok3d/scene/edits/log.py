@@ -26,11 +26,12 @@ from instok3d.scene.edits.ownership import Part
 from instok3d.scene.objects import check_label
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.semantic_files import PACKED, packed, unpacked
 from instok3d.scene.vertical import given_up
 from instok3d.types import Gaussians, check_gaussians
 
 LOG, ASSETS = "edits.jsonl", "edits"
-FORMAT, VERSION = "instok3d edits", 2
+FORMAT, VERSION = "instok3d edits", 3
 REMEDY = "take the scene without its edits (Scene.load(path, edits=False)), or another copy of it"
 MAX_EDITS = 1_000_000
 """Lines of a log; more are taken for damage."""
@@ -192,7 +193,10 @@ def _put(tensors: Mapping[str, Tensor], wanted: dict[str, bytes]) -> str:
     return name
 
 
-def _get(value: Any, assets: Path, names: set[str]) -> dict[str, Tensor]:
+def _get(
+    value: Any, assets: Path, names: set[str], *, more: str | None = None
+) -> dict[str, Tensor]:
+    """The tensors of a file: those of these names, and any whose names begin with `more`."""
     name = text(value)
     digest = name.removesuffix(".safetensors")
     if len(digest) != 64 or set(digest) - set("0123456789abcdef") or name == digest:
@@ -204,7 +208,8 @@ def _get(value: Any, assets: Path, names: set[str]) -> dict[str, Tensor]:
     if hashlib.sha256(data).hexdigest() != digest:
         raise ValueError(f"{file.name} is not the file that the edit was written for")
     tensors = load_tensors(data)
-    if set(tensors) != names:
+    found = {name for name in tensors if more is None or not name.startswith(more)}
+    if found != names:
         raise ValueError(f"{file.name} holds {sorted(tensors)}, wanted {sorted(names)}")
     return tensors
 
@@ -275,12 +280,13 @@ def _check_tensors(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int
 
 def _write_part(value: Part, wanted: dict[str, bytes]) -> str:
     own = {"positions": value.positions, "anchors": value.anchors, "group": value.group}
-    return _put({**vars(value.gaussians), **own}, wanted)
+    return _put({**vars(value.gaussians), **own, **packed(value.semantics)}, wanted)
 
 
 def _read_part(value: Any, assets: Path) -> Part:
     names = {field.name for field in fields(Gaussians)}
-    tensors = _get(value, assets, {*names, "positions", "anchors", "group"})
+    own = {*names, "positions", "anchors", "group"}
+    tensors = _get(value, assets, own, more=PACKED)
     k, c = len(tensors["positions"]), tensors["group"].shape[-1]
     _check_tensors(tensors, {"positions": (k, 3), "anchors": (k, c), "group": (c,)})
     gaussians = _gaussians(tensors)
@@ -289,7 +295,8 @@ def _read_part(value: Any, assets: Path) -> Part:
         raise ValueError("the tokens of a part must be finite")
     if int(gaussians.anchor_index.max()) >= k:
         raise ValueError(f"anchor_index beyond {k}")
-    return Part(gaussians, *tokens)
+    packs = {name: each for name, each in tensors.items() if name not in own}
+    return Part(gaussians, *tokens, unpacked(packs, groups=1, anchors=k))
 
 
 KINDS: dict[str, Kind] = {

@@ -36,6 +36,7 @@ from instok3d.scene.objects import (
 )
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.semantics import merged as merged_semantics
 from instok3d.scene.vertical import given_up
 from instok3d.types import Gaussians, check_gaussians
 
@@ -212,6 +213,8 @@ class Merge:
         chosen = _rows_of(scene, [each.id for each in others])
         weights = [each.num_gaussians for each in (target, *others)]
         sums = [n * each.confidence for n, each in zip(weights, (target, *others), strict=True)]
+        shares = {each.id - 1: float(each.num_gaussians) for each in (target, *others)}
+        scene = replace(scene, semantics=merged_semantics(scene.semantics, shares))
         merged = given_to(scene, chosen, replace(target, confidence=sum(sums) / sum(weights)))
         pi = merged.tokens.assignment.clone()
         rows = pi.argmax(dim=1) == target.id - 1

@@ -7,20 +7,22 @@ a copy of their anchor with another row of the assignment.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from instok3d.scene import semantics
 from instok3d.scene.objects import SceneObject, describe_shape
 from instok3d.scene.record import SceneRecord, SceneTokens
+from instok3d.scene.semantics import NO_SEMANTICS, SceneSemantics
 from instok3d.scene.sight import looked_at_later
-from instok3d.types import Flow, Gaussians
+from instok3d.types import Gaussians
 
 
 @dataclass(frozen=True)
-class Part(Flow):
+class Part:
     """An object by itself, with the anchors that its Gaussians came from."""
 
     gaussians: Gaussians
@@ -28,6 +30,8 @@ class Part(Flow):
     positions: Float[Tensor, "anchor 3"]
     anchors: Float[Tensor, "anchor channel"]
     group: Float[Tensor, " channel"]
+    semantics: Mapping[str, SceneSemantics] = field(default_factory=lambda: NO_SEMANTICS)
+    """Of the anchors and of one group, this one."""
 
 
 def part_of(scene: SceneRecord, item: SceneObject) -> Part:
@@ -40,6 +44,7 @@ def part_of(scene: SceneRecord, item: SceneObject) -> Part:
         scene.tokens.positions[used],
         scene.tokens.anchors[used],
         scene.tokens.groups[item.id - 1],
+        semantics.of_part(scene.semantics, item.id - 1, used),
     )
 
 
@@ -100,6 +105,9 @@ def without_rows(
         anchors=scene.tokens.anchors[kept_anchors],
         assignment=scene.tokens.assignment[kept_anchors],
     )
+    scene = replace(
+        scene, semantics=semantics.with_anchors(scene.semantics, kept_anchors.nonzero()[:, 0])
+    )
     lost = row_ids(scene)[dropped].bincount(minlength=len(scene.tokens.groups) + 1)
     counts = {item.id: item.num_gaussians - int(lost[item.id]) for item in scene.objects}
     changed = {item.id for item in scene.objects if lost[item.id] and counts[item.id]}
@@ -127,6 +135,8 @@ def with_part(scene: SceneRecord, part: Part, item: SceneObject) -> SceneRecord:
         anchors=torch.cat([tokens.anchors, part.anchors]),
         assignment=torch.cat([tokens.assignment, pi]),
     )
+    known = semantics.with_part(scene.semantics, part.semantics, len(part.positions))
+    scene = replace(scene, semantics=known)
     added = replace(part.gaussians, anchor_index=part.gaussians.anchor_index + num_anchors)
     old, added = same_degree(scene.gaussians, added)
     end = sum(each.num_gaussians for each in scene.objects)
@@ -190,6 +200,8 @@ def given_to(
         old = int(row_ids(scene)[chosen].max()) if chosen.any() else 0
         token = tokens.groups[old - 1] if old else tokens.groups.new_zeros(tokens.groups.shape[1])
         tokens = with_group(tokens, token)
+        known = semantics.with_group_like(scene.semantics, old - 1 if old else None)
+        scene = replace(scene, semantics=known)
     num_anchors = len(tokens.positions)
     going = torch.zeros(num_anchors, dtype=torch.bool)
     staying = going.clone()
@@ -204,6 +216,8 @@ def given_to(
         tokens.groups,
         torch.cat([tokens.assignment, tokens.assignment[copied]]),
     )
+    index_of_row = torch.cat([torch.arange(num_anchors), copied])
+    scene = replace(scene, semantics=semantics.with_anchors(scene.semantics, index_of_row))
     # 2. Rows of the anchors that go.
     rows = new_index[going.nonzero()[:, 0]]
     pi = tokens.assignment.clone()
