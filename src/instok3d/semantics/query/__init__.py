@@ -1,0 +1,1 @@
+"""Questions about a room: what they say, which objects they may mean, how likely that is."""
