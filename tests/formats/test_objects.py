@@ -55,7 +55,7 @@ def test_the_data_follow_the_schema_and_the_scene(scene: Scene):
     assert (data["units"], data["metres_per_scene_unit"], data["edits"]) == ("arbitrary", None, 1)
     blue = data["objects"][1]
     assert (blue["label"], blue["label_source"], blue["key"]) == (
-        "blue blob", "given", "blue blob#3",
+        "blue blob", "user", "blue blob#3",
     )  # fmt: skip
     ids = scene.render(ids=True).ids
     assert ids is not None

@@ -8,7 +8,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.pictures import display_color
-from instok3d.scene.objects import SceneObject, check_label, describe_shape
+from instok3d.scene.objects import FILE, SceneObject, check_label, describe_shape, key_of
 from instok3d.scene.record import FAR, MAX_FAR, Provenance, SceneTokens, near_and_far
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import Vertical
@@ -106,7 +106,7 @@ def _described(own: Gaussians, number: int, start: int, label: str | None) -> Sc
     aabb, obb, centroid = describe_shape(own)
     return SceneObject(
         id=number,
-        key=f"{label or 'object'}#{number}",
+        key=key_of(number, label),
         color=display_color(number),
         aabb=aabb,
         obb=obb,
@@ -116,4 +116,5 @@ def _described(own: Gaussians, number: int, start: int, label: str | None) -> Sc
         gaussian_range=(start, len(own.means)),
         confidence=1.0,
         label=label,
+        label_source=None if label is None else FILE,
     )

@@ -12,7 +12,7 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.moving import move_gaussians
 from instok3d.pictures import display_color
-from instok3d.scene.objects import SceneObject, describe_shape
+from instok3d.scene.objects import SceneObject, describe_shape, key_of
 from instok3d.scene.record import Provenance, SceneTokens, SceneView, near_and_far
 from instok3d.scene.scene import Scene
 from instok3d.scene.sight import MIN_PIXELS, GroupSight, look
@@ -117,6 +117,7 @@ def with_objects(scene: Scene) -> Scene:
             if group in known:
                 old = known[group]
                 found = replace(found, key=old.key, label=old.label, color=old.color,
+                                label_source=old.label_source, label_score=old.label_score,
                                 hidden=old.hidden)  # fmt: skip
             objects.append(replace(found, gaussian_range=(start, count)))
     return replace(scene, gaussians=gaussians, objects=tuple(objects))
@@ -126,7 +127,7 @@ def _describe(own: Gaussians, group: int, num_anchors: int, sight: GroupSight) -
     aabb, obb, centroid = describe_shape(own)
     return SceneObject(
         id=group + 1,
-        key=f"object#{group + 1}",
+        key=key_of(group + 1, None),
         color=display_color(group + 1),
         aabb=aabb,
         obb=obb,

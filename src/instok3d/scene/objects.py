@@ -22,6 +22,11 @@ LARGEST = 100 * MAX_LENGTH
 """What a coordinate or a length can be: of boxes about the largest Gaussians."""
 MAX_LABEL = 100
 """Characters of a label."""
+UNLABELLED = "object"
+"""Stands in the key of an object without a label."""
+USER, FILE, SEMANTICS = "user", "given", "semantics:"
+"""Sources of labels: a person's rename; an imported file, or an older program that did not say; the
+beginning of those that an encoder gave."""
 TAIL = 0.02
 """Share of an object's opacity that a box leaves out on each side of each axis: haze and strays."""
 
@@ -147,6 +152,10 @@ class SceneObject:
     found, in [0, 1]; edits keep it. 1 for objects that a file named."""
     sight: Sight | LateSight = Sight()
     label: str | None = None
+    label_source: str | None = None
+    """Who named it: USER, "semantics:" and the encoder, or FILE; None without a label."""
+    label_score: float | None = None
+    """Probability of a label that semantics gave, in [0, 1]; None of others."""
     hidden: bool = False
     """Not drawn, not exported; its Gaussians stay in the scene."""
 
@@ -191,7 +200,8 @@ class SceneObject:
             "id": self.id,
             "key": self.key,
             "label": self.label,
-            "label_source": None if self.label is None else "given",
+            "label_source": self.label_source,
+            "label_score": self.label_score,
             "confidence": self.confidence,
             "hidden": self.hidden,
             "color": self.color,
@@ -242,6 +252,8 @@ class SceneObject:
             confidence=_share(value["confidence"]),
             sight=_sight(value),
             label=None if label is None else text(label),
+            label_source=_label_source(value),
+            label_score=None if value.get("label_score") is None else _share(value["label_score"]),
             hidden=one_of(value.get("hidden", False), (False, True)),
         )
 
@@ -267,7 +279,9 @@ def check_label(label: str) -> str:
 
 
 def find_object(objects: Sequence[SceneObject], which: int | str) -> SceneObject:
-    """The object of an id, a key such as "object#3", or a label.
+    """The object of an id, a key such as "chair#3", or a label.
+
+    "object#3" is the one of id 3, whatever it is labelled.
 
     Raises:
         KeyError: There is no such object, or several of that label.
@@ -281,8 +295,40 @@ def find_object(objects: Sequence[SceneObject], which: int | str) -> SceneObject
     if labelled:
         keys = ", ".join(candidate.key for candidate in labelled)
         raise KeyError(f"{len(labelled)} objects have the label {which!r}; name one of: {keys}")
+    unlabelled = [each for each in objects if f"{UNLABELLED}#{each.id}" == which]
+    if unlabelled:
+        return unlabelled[0]
     known = ", ".join(str(candidate.id) for candidate in objects) or "none"
     raise KeyError(f"no object {which!r} in this scene; its ids are: {known}")
+
+
+def key_of(number: int, label: str | None) -> str:
+    """The key of an object: its label, or "object" without one, and its id."""
+    return f"{label or UNLABELLED}#{number}"
+
+
+def check_label_source(source: str) -> str:
+    """Who named an object.
+
+    Raises:
+        ValueError: It is neither USER nor FILE, nor begins with SEMANTICS.
+    """
+    known = source in (USER, FILE) or source.startswith(SEMANTICS)
+    if not known or source == SEMANTICS or len(source) > MAX_LABEL:
+        raise ValueError(f"{reprlib.repr(source)} is no source of a label")
+    return source
+
+
+def _label_source(value: Any) -> str | None:
+    """Who named the object of an entry; versions before 3 say "given" alone."""
+    source, label = value.get("label_source"), value.get("label")
+    if label is None:
+        if source is not None:
+            raise ValueError(f"there is no label, but its source {reprlib.repr(source)}")
+        return None
+    if source is None:  # scene folders of versions 1 to 3
+        return FILE
+    return check_label_source(text(source))
 
 
 def _sight(value: Any) -> Sight:

@@ -190,7 +190,9 @@ class EditableScene(SceneRecord):
         )  # fmt: skip
         part = self._fitting(carried(part_of(other, item), motion), other)
         origin = f"{item.key} of the scene {gaussians_sha256(other.gaussians)}"
-        return self._edited(Insert(part, item.label, item.confidence, origin))
+        return self._edited(
+            Insert(part, item.label, item.confidence, origin, item.label_source, item.label_score)
+        )
 
     def recolor(self: AnyScene, which: Which, color: str | Sequence[Number]) -> AnyScene:
         """An object in another colour, "red", "#rrggbb" or three numbers; its shading stays.

@@ -23,7 +23,7 @@ from instok3d.scene.edits.arguments import color, factor
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.operations import OPERATIONS, Edit
 from instok3d.scene.edits.ownership import Part
-from instok3d.scene.objects import check_label
+from instok3d.scene.objects import check_label, check_label_source
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.semantic_files import PACKED, packed, unpacked
@@ -311,6 +311,8 @@ KINDS: dict[str, Kind] = {
     "text": _plain(text),
     "label": _plain(lambda value: None if value is None else check_label(text(value))),
     "share": _plain(_share),
+    "share or null": _plain(lambda value: None if value is None else _share(value)),
+    "source": _plain(lambda value: None if value is None else check_label_source(text(value))),
     "rows": Kind(_write_rows, _read_rows),
     "masks": Kind(_write_masks, _read_masks),
     "gaussians": Kind(_write_gaussians, _read_gaussians),

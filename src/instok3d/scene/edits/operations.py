@@ -28,11 +28,14 @@ from instok3d.scene.edits.ownership import (
     without_rows,
 )
 from instok3d.scene.objects import (
+    FILE,
+    USER,
     AlignedBox,
     OrientedBox,
     SceneObject,
     check_label,
     find_object,
+    key_of,
 )
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
@@ -147,7 +150,7 @@ class Duplicate:
     def apply(self, scene: SceneRecord) -> SceneRecord:
         item = object_of(scene, self.object)
         part = carried(part_of(scene, item), self.motion)
-        return with_part(scene, part, new_object(scene, item.label, item.confidence))
+        return with_part(scene, part, another_of(scene, item))
 
     def words(self, scene: SceneRecord) -> str:
         return f"duplicate {_moved_words(scene, self.object, self.motion)}"
@@ -163,6 +166,9 @@ class Insert:
     confidence: Annotated[float, "share"]
     origin: Annotated[str, "text"]
     """Where it comes from, in words."""
+    label_source: Annotated[str | None, "source"] = None
+    """As of a `SceneObject`; logs before version 3 did not say."""
+    label_score: Annotated[float | None, "share or null"] = None
 
     def apply(self, scene: SceneRecord) -> SceneRecord:
         if self.part.anchors.shape[1] != scene.tokens.anchors.shape[1]:
@@ -170,10 +176,15 @@ class Insert:
                 f"the part has tokens of {self.part.anchors.shape[1]} channels, the scene of "
                 f"{scene.tokens.anchors.shape[1]}"
             )
-        return with_part(scene, self.part, new_object(scene, self.label, self.confidence))
+        return with_part(scene, self.part, self._inserted(scene))
 
     def words(self, scene: SceneRecord) -> str:
-        return f"insert {self.origin} as {new_object(scene, self.label, 1.0).key}"
+        return f"insert {self.origin} as {self._inserted(scene).key}"
+
+    def _inserted(self, scene: SceneRecord) -> SceneObject:
+        source = None if self.label is None else self.label_source or FILE
+        new = new_object(scene, self.label, self.confidence)
+        return replace(new, label_source=source, label_score=self.label_score)
 
 
 @dataclass(frozen=True)
@@ -245,11 +256,11 @@ class Split:
             raise ValueError(f"{len(rows)} of {item.num_gaussians} Gaussians are no part of it")
         chosen = torch.zeros(len(scene.gaussians.means), dtype=torch.bool)
         chosen[item.gaussian_range[0] + rows] = True
-        new = new_object(scene, item.label, item.confidence)
+        new = another_of(scene, item)
         return given_to(scene, chosen, replace(new, hidden=item.hidden))
 
     def words(self, scene: SceneRecord) -> str:
-        new = new_object(scene, object_of(scene, self.object).label, 1.0).key
+        new = another_of(scene, object_of(scene, self.object)).key
         return f"split {_keys(scene, [self.object])}: {len(self.rows)} Gaussians are {new}"
 
 
@@ -263,10 +274,11 @@ class Rename:
 
     def apply(self, scene: SceneRecord) -> SceneRecord:
         item, label = object_of(scene, self.object), check_label(self.label)
-        key = f"{label}#{item.id}"
+        key = key_of(item.id, label)
         if any(each.key == key and each.id != item.id for each in scene.objects):
             raise ValueError(f"another object has the key {key!r} already: use another label")
-        return _exchanged(scene, replace(item, label=label, key=key))
+        return _exchanged(scene, replace(item, label=label, key=key, label_source=USER,
+                                         label_score=None))  # fmt: skip
 
     def words(self, scene: SceneRecord) -> str:
         return f"rename {_keys(scene, [self.object])}: {self.label}"
@@ -339,11 +351,17 @@ def object_of(scene: SceneRecord, which: int | str) -> SceneObject:
     return find_object(scene.objects, which)
 
 
+def another_of(scene: SceneRecord, item: SceneObject) -> SceneObject:
+    """A new object with the label of another one."""
+    new = new_object(scene, item.label, item.confidence)
+    return replace(new, label_source=item.label_source, label_score=item.label_score)
+
+
 def new_object(scene: SceneRecord, label: str | None, confidence: float) -> SceneObject:
     """An object with the next id, which is described when it has Gaussians."""
     number, nowhere = len(scene.tokens.groups) + 1, (0.0, 0.0, 0.0)
     return SceneObject(
-        id=number, key=f"{label or 'object'}#{number}", color=display_color(number),
+        id=number, key=key_of(number, label), color=display_color(number),
         aabb=AlignedBox(nowhere, nowhere), obb=OrientedBox(nowhere, nowhere, NO_TURN),
         centroid=nowhere, num_anchors=0, num_gaussians=0, gaussian_range=(0, 0),
         confidence=confidence, label=label,
