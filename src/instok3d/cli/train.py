@@ -11,11 +11,13 @@ COMMANDS = {
     "scannet-adapt": "VGGT learns the metres of ScanNet",
     "scannet-2view": "the paper's tokenizer on two views of ScanNet",
     "scannet-8view": "the paper's tokenizer on eight views of ScanNet",
+    "scannet-semantics": "features of a 2D encoder in the scenes of that tokenizer",
     "re10k-adapt": "VGGT learns the unit of RealEstate10K",
     "re10k-2view": "the paper's tokenizer on RealEstate10K",
     "nano-geometry": "the nano backbone on rooms",
     "nano-refinement": "its refinement of depth, on top of that",
     "nano-tokenizer": "the tokenizer of the default model",
+    "nano-semantics": "features of a 2D encoder in the scenes of the default model",
     "nano-adapt": "the nano backbone learns the depths of other scenes",
     "cache": "a frozen backbone's features, written once for a tokenizer run",
     "export": "a run's averaged weights as one file",
@@ -46,7 +48,7 @@ def export(
     """Write a run's averaged weights as one file.
 
     A tokenizer run gives a model for `reconstruct --model`; an adapt run its backbone, without
-    the head, for `--init-from`.
+    the head, for `--init-from`; a semantics run what lifts its encoder's features into scenes.
 
     Args:
         run: Folder of the run; it may still be going on.

@@ -17,9 +17,11 @@ from instok3d.files import write_json
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import PAPER
 from instok3d.reading import naming_damage, read_json
+from instok3d.semantics.tokens import SemanticTokensConfig
 from instok3d.training.distributed import Strategy
 from instok3d.training.stages.adapt import AdaptStageConfig
 from instok3d.training.stages.geometry import GeometryStageConfig
+from instok3d.training.stages.semantics import SemanticsStageConfig
 from instok3d.training.stages.stage import StageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
@@ -196,6 +198,15 @@ RE10K_ADAPT = replace(SCANNET_ADAPT, batches=_RE10K_PAIRS)
 """VGGT learns that the unit is the distance of the two contexts: RealEstate10K has no metres, so
 the rule of C3G has to be learned as ScanNet's metres have (App. C.1)."""
 
+SCANNET_SEMANTICS = replace(
+    SCANNET_2VIEW,
+    stage=SemanticsStageConfig(
+        backbone=PAPER_VGGT, tokenizer=PAPER, know_intrinsics=True, target_cameras="true"
+    ),
+)  # fmt: skip
+"""Features of LSeg on the tokenizer with two views. The paper says no more than that all else is
+frozen (Sec. 3.3); steps and rates are those of the tokenizer."""
+
 RE10K_2VIEW = replace(SCANNET_2VIEW, batches=_RE10K_PAIRS, masks="sam2")
 """The tokenizer on RealEstate10K with masks of SAM 2 (App. C.1: all else as on ScanNet).
 
@@ -209,6 +220,7 @@ PRESETS = {
     "scannet-adapt": SCANNET_ADAPT,
     "scannet-2view": SCANNET_2VIEW,
     "scannet-8view": SCANNET_8VIEW,
+    "scannet-semantics": SCANNET_SEMANTICS,
     "re10k-adapt": RE10K_ADAPT,
     "re10k-2view": RE10K_2VIEW,
     "nano-geometry": TrainConfig(
@@ -245,6 +257,16 @@ PRESETS = {
         lr=1e-4,
         warmup_steps=100,
         clip_norm=0.3,
+    ),
+    "nano-semantics": TrainConfig(
+        stage=SemanticsStageConfig(
+            tokens=SemanticTokensConfig(feature_channels=256, group_layers=2)
+        ),
+        batches=BatchConfig(batch_size=2, views=(2, 2, 4), num_targets=1, mirror=True),
+        steps=4_000,
+        lr=3e-4,
+        warmup_steps=100,
+        clip_norm=1.0,
     ),
     "nano-adapt": TrainConfig(
         stage=AdaptStageConfig(
