@@ -14,6 +14,7 @@ import noise_rooms
 
 pytest.importorskip("embreex")
 
+from instok3d.data.words import ObjectWords
 from instok3d.files import write_json
 from instok3d.pictures import GAP, LINE
 from instok3d.rooms import RoomDataset, generate, shards
@@ -299,3 +300,18 @@ def test_contact_sheet_of_nothing_is_refused(folder):
     put(folder, 0, 1)
     with pytest.raises(ValueError, match="1 or more scenes and views, got 0 and 8"):
         rooms_sheet(RoomDataset(folder), scenes=0)
+
+
+def test_words_have_the_colour_that_is_seen_in_all_frames_together(folder):
+    scene = noise_scene(4)
+    images, ids = scene.images * 0 + 255, scene.instances * 0 + 3
+    images[1:] = (200, 20, 20)
+    known = {"id": 3, "class": "sofa", "color": "green", "material": "fabric"}
+    hidden = {"id": 9, "class": "bed", "color": "blue", "material": "wood"}
+    meta = scene.meta | {"instances": [known, hidden]}
+    changed = dataclasses.replace(scene, images=images, instances=ids, meta=meta)
+    noise_rooms.put(folder, 0, [changed, noise_scene(9)])
+    dataset = RoomDataset(folder)
+    words = {3: ObjectWords("sofa", "red", "fabric"), 9: ObjectWords("bed", "blue", "wood")}
+    assert dataset.words_of(0) == dataset.frames(0, [0]).words == words
+    assert dataset.words_of(1) == {}

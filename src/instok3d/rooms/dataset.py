@@ -1,7 +1,7 @@
 """Reading a folder of rooms, also while it is being written."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,9 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from instok3d.data.scenes import SceneFrames
+from instok3d.data.words import ObjectWords
 from instok3d.rooms.catalogues.opened import credits_of
+from instok3d.rooms.seen_colors import seen_colors
 from instok3d.rooms.shards import Shard, read_index
 
 
@@ -48,6 +50,7 @@ class RoomDataset:
         """Keep the scenes whose seed is in `seeds`; None keeps all."""
         self.folder, self.seeds = Path(folder), seeds
         self._open: dict[str, Shard] = {}
+        self._words: dict[int, Mapping[int, ObjectWords]] = {}
         self.refresh()
 
     def refresh(self) -> None:
@@ -106,8 +109,20 @@ class RoomDataset:
             depths_m=shard.read_frames("depths_mm", row, chosen).to(torch.float32) / 1000,
             world_from_cam=shard.read_frames("world_from_cam", row, chosen),
             intrinsics=shard.read_frames("intrinsics", row, chosen),
-            words=shard.words[row],
+            words=self._words_of(shard, row),
         )
+
+    def words_of(self, number: int) -> Mapping[int, ObjectWords]:
+        """Words of the instances of scene `number`, with the colours that its frames show.
+
+        They are found once; that reads all the frames of the scene.
+
+        Raises:
+            IndexError: There is no such scene.
+            ValueError: Its file is missing or damaged.
+        """
+        _, name, row, _ = self._scenes[number]
+        return self._words_of(self._shard(name), row)
 
     def scene(self, number: int) -> RoomScene:
         """Scene `number`; one copy out of the mapped file.
@@ -126,6 +141,19 @@ class RoomDataset:
             shard.read("intrinsics", row),
             shard.metas[row],
         )
+
+    def _words_of(self, shard: Shard, row: int) -> Mapping[int, ObjectWords]:
+        seed = shard.metas[row]["seed"]
+        if seed not in self._words:
+            colors: dict[int, str] = {}
+            if shard.words[row]:
+                images, ids = shard.read("images", row), shard.read("instances", row)
+                colors = seen_colors(images.numpy(), ids.to(torch.int64).numpy())
+            self._words[seed] = {
+                number: replace(words, color=colors.get(number, words.color))
+                for number, words in shard.words[row].items()
+            }
+        return self._words[seed]
 
     def _shard(self, name: str) -> Shard:
         """An open shard; it stays open, a few hundred at most do."""
