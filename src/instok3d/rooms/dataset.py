@@ -112,6 +112,11 @@ class RoomDataset:
             words=self._words_of(shard, row),
         )
 
+    def meta_of(self, number: int) -> Mapping[str, Any]:
+        """What is known of scene `number` beside its frames; see `RoomScene.meta`."""
+        _, name, row, _ = self._scenes[number]
+        return self._shard(name).metas[row]
+
     def words_of(self, number: int) -> Mapping[int, ObjectWords]:
         """Words of the instances of scene `number`, with the colours that its frames show.
 

@@ -51,3 +51,13 @@ def validation_samples(
         singles.append(replace(sample, keys=(f"{source.name_of(index)}/{views}/validation",)))
     size = max(1, batch_size * 2 // views)
     return [collate(singles[k : k + size]) for k in range(0, len(singles), size)]
+
+
+HELD_OUT_SHARE = 0.05
+"""Of the rooms of each folder: validate the teacher and choose thresholds of labels."""
+
+
+def hold_out_last(count: int) -> tuple[range, range]:
+    """Numbers of the scenes of one data set to train on, and of the last ones, to hold out."""
+    kept = count - round(count * HELD_OUT_SHARE)
+    return range(kept), range(kept, count)

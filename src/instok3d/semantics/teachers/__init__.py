@@ -1,4 +1,4 @@
-"""Teachers of others: LSeg, CLIP, SigLIP 2 and DINO."""
+"""Teachers: the embedded one, LSeg, CLIP, SigLIP 2 and DINO."""
 
 from instok3d.semantics.teachers.opening import FORMS, open_teacher
 

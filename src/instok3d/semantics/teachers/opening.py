@@ -1,4 +1,4 @@
-"""Teachers of others by their names on the command line: `--teacher clip:FOLDER`."""
+"""Teachers by their names on the command line: `--teacher clip:FOLDER`."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-FORMS = ("lseg:FILE", "clip:FOLDER", "siglip2:FOLDER", "dino:FOLDER")
+FORMS = ("lseg:FILE", "clip:FOLDER", "siglip2:FOLDER", "dino:FOLDER", "rooms:FILE")
 """What `open_teacher` takes."""
 
 
@@ -23,10 +23,16 @@ def open_teacher(text: str, device: torch.device | str = "cpu") -> Any:
         ModuleNotFoundError: The package that runs them is not installed.
     """
     kind, _, place = text.partition(":")
-    kinds = {"lseg": _lseg, "clip": _clip, "siglip2": _siglip, "dino": _dino}
+    kinds = {"rooms": _rooms, "lseg": _lseg, "clip": _clip, "siglip2": _siglip, "dino": _dino}
     if kind not in kinds or not place:
         raise ValueError(f"{text!r} names no teacher; wanted is one of {', '.join(FORMS)}")
     return kinds[kind]()(Path(place), device)
+
+
+def _rooms() -> Callable[..., Any]:
+    from instok3d.semantics.teachers.file import load_teacher
+
+    return load_teacher
 
 
 def _lseg() -> Callable[..., Any]:

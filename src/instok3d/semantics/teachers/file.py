@@ -1,0 +1,158 @@
+"""The embedded teacher as tensors of a file: matrices in 8 bits, everything else in 16."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int8
+from safetensors import safe_open
+from torch import Tensor
+
+from instok3d.files import replacing, write_safetensors
+from instok3d.reading import naming_damage, one_of, parse_json, text, whole_number
+from instok3d.semantics.predictor import Predictor, PredictorConfig
+from instok3d.semantics.teachers.rooms import RoomTeacher
+from instok3d.semantics.text import TextTable
+from instok3d.semantics.wordpiece import UNKNOWN
+
+FORMAT = "instok3d-teacher-1"
+PREFIX = "teacher."
+"""Of all its tensors, so that others may lie in the same file."""
+RECORD = "teacher"
+"""Of the metadata: what is no tensor, as JSON."""
+REMEDY = "make it again or take the one that comes with instok3d"
+SIZES = tuple(asdict(PredictorConfig()))
+MAX_SIZE = 4096
+"""Of a network; sizes beyond are taken for damage."""
+
+
+def teacher_tensors(teacher: RoomTeacher) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors, by names with PREFIX, and metadata that a teacher is made of again."""
+    tensors = {"table.rows": teacher.table.rows, "table.scales": teacher.table.scales}
+    for name, value in teacher.predictor.state_dict().items():
+        if value.ndim > 1:
+            rows, scales = rounded(value)
+            tensors[f"predictor.{name}"] = rows
+            tensors[f"predictor.{name}.scales"] = scales
+        else:
+            tensors[f"predictor.{name}"] = value.half()
+    record = {
+        "format": FORMAT,
+        "name": teacher.name,
+        "config": asdict(teacher.predictor.config),
+        "vocabulary": teacher.table.vocabulary,
+        "source": teacher.table.source,
+    }
+    whole = {PREFIX + name: value.contiguous() for name, value in tensors.items()}
+    return whole, {RECORD: json.dumps(record)}
+
+
+def teacher_of(
+    tensors: Mapping[str, Tensor], metadata: Mapping[str, str], where: Path
+) -> RoomTeacher:
+    """The teacher of such tensors and metadata; others beside them are left alone.
+
+    Raises:
+        ValueError: They are of no such teacher, or damaged.
+    """
+    if RECORD not in metadata:
+        raise ValueError(f"{where} holds no teacher; {REMEDY}")
+    own = {k.removeprefix(PREFIX): v for k, v in tensors.items() if k.startswith(PREFIX)}
+    with naming_damage(where, REMEDY):
+        record = parse_json(metadata[RECORD], "what it says of its teacher", "")
+        one_of(record["format"], (FORMAT,))
+        table = _table(own, record)
+        sizes = {key: whole_number(record["config"][key], 1, MAX_SIZE) for key in SIZES}
+        if sizes["channels"] != table.rows.shape[1]:
+            raise ValueError("its predictor and its table of text are of two spaces")
+        weights = _weights(own)
+        _check_shapes(weights, PredictorConfig(**sizes))
+        predictor = Predictor(PredictorConfig(**sizes))
+        predictor.load_state_dict(weights)
+        name = text(record["name"])
+    return RoomTeacher(predictor, table, name)
+
+
+def save_teacher(teacher: RoomTeacher, path: Path, *, overwrite: bool = False) -> None:
+    """Write a teacher alone as one safetensors file.
+
+    Raises:
+        FileExistsError: The file is there.
+    """
+    tensors, metadata = teacher_tensors(teacher)
+    with replacing(path, overwrite=overwrite) as part:
+        write_safetensors(part, tensors, metadata)
+
+
+def load_teacher(path: Path, device: torch.device | str = "cpu") -> RoomTeacher:
+    """Read the teacher of a file that `save_teacher` wrote, or that holds one among others.
+
+    Args:
+        path: The file.
+        device: Where its predictor runs.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no teacher, or is damaged.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no teacher {path}")
+    with naming_damage(path, REMEDY), safe_open(path, "pt") as file:
+        metadata = file.metadata() or {}
+        names = [name for name in file.keys() if name.startswith(PREFIX)]  # noqa: SIM118
+        tensors = {name: file.get_tensor(name) for name in names}
+    teacher = teacher_of(tensors, metadata, path)
+    teacher.predictor.to(device)
+    return teacher
+
+
+def rounded(
+    values: Float[Tensor, "row *column"],
+) -> tuple[Int8[Tensor, "row *column"], Float[Tensor, " row"]]:
+    """Each row in 127 steps of its largest value, and the size of a step."""
+    flat = values.detach().float().flatten(1)
+    scales = flat.abs().amax(dim=1).clamp_min(1e-9) / 127
+    return (flat / scales[:, None]).round().to(torch.int8).view(values.shape), scales
+
+
+def _table(own: Mapping[str, Tensor], record: Mapping[str, Any]) -> TextTable:
+    rows, scales = own["table.rows"], own["table.scales"]
+    vocabulary = tuple(text(piece) for piece in record["vocabulary"])
+    if rows.dtype != torch.int8 or rows.ndim != 2 or scales.dtype != torch.float32:
+        raise ValueError("its table of text has another kind of numbers")
+    if not len(vocabulary) == len(rows) == len(scales) or UNKNOWN not in vocabulary:
+        raise ValueError("words, rows and scales of its table do not fit together")
+    if not scales.isfinite().all():
+        raise ValueError("its table of text has scales that are not finite")
+    return TextTable(vocabulary, rows, scales, text(record["source"]))
+
+
+def _weights(own: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Of the predictor, float32."""
+    weights = {}
+    for name, value in own.items():
+        if not name.startswith("predictor.") or name.endswith(".scales"):
+            continue
+        whole = value.float()
+        if value.dtype == torch.int8:
+            scales = own[f"{name}.scales"]
+            whole = whole * scales.view(-1, *[1] * (value.ndim - 1))
+        if not whole.isfinite().all():
+            raise ValueError(f"{name} has values that are not finite")
+        weights[name.removeprefix("predictor.")] = whole
+    return weights
+
+
+def _check_shapes(weights: Mapping[str, Tensor], config: PredictorConfig) -> None:
+    """Before memory is taken for a network of sizes that the file only claims."""
+    with torch.device("meta"):
+        wanted = {name: tuple(v.shape) for name, v in Predictor(config).state_dict().items()}
+    found = {name: tuple(value.shape) for name, value in weights.items()}
+    wrong = sorted(name for name in wanted | found if wanted.get(name) != found.get(name))
+    if wrong:
+        raise ValueError(
+            f"{wrong[0]} has the shape {found.get(wrong[0])}, wanted {wanted.get(wrong[0])}"
+        )
