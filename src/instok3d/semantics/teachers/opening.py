@@ -2,15 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
+
+from instok3d.semantics.teacher import Teacher
 
 FORMS = ("lseg:FILE", "clip:FOLDER", "siglip2:FOLDER", "dino:FOLDER", "rooms:FILE")
 """What `open_teacher` takes."""
 
 
-def open_teacher(text: str, device: torch.device | str = "cpu") -> Any:
+def open_teacher(text: str, device: torch.device | str = "cpu") -> Teacher:
     """The teacher that a text names, with its weights.
 
     Args:
@@ -29,31 +30,31 @@ def open_teacher(text: str, device: torch.device | str = "cpu") -> Any:
     return kinds[kind]()(Path(place), device)
 
 
-def _rooms() -> Callable[..., Any]:
+def _rooms() -> Callable[..., Teacher]:
     from instok3d.semantics.teachers.file import load_teacher
 
     return load_teacher
 
 
-def _lseg() -> Callable[..., Any]:
+def _lseg() -> Callable[..., Teacher]:
     from instok3d.semantics.teachers.lseg import LSegTeacher
 
     return LSegTeacher
 
 
-def _clip() -> Callable[..., Any]:
+def _clip() -> Callable[..., Teacher]:
     from instok3d.semantics.teachers.pretrained import ClipTeacher
 
     return ClipTeacher
 
 
-def _siglip() -> Callable[..., Any]:
+def _siglip() -> Callable[..., Teacher]:
     from instok3d.semantics.teachers.pretrained import SiglipTeacher
 
     return SiglipTeacher
 
 
-def _dino() -> Callable[..., Any]:
+def _dino() -> Callable[..., Teacher]:
     from instok3d.semantics.teachers.pretrained import DinoTeacher
 
     return DinoTeacher

@@ -57,6 +57,7 @@ class _PretrainedTeacher:
         self._model.requires_grad_(False).to(device)
         self.device = torch.device(device)
         self.name = f"{self.KIND}-{sha256_of(folder / WEIGHTS)[:12]}"
+        self.channels = self._count_channels()
         self._mean, self._std = (
             torch.tensor(each, device=self.device)[:, None, None]
             for each in self._statistics(folder)
@@ -94,6 +95,9 @@ class _PretrainedTeacher:
             lambda part: unit(self._dense(part)), images.to(self.device), IMAGES_AT_ONCE
         )
 
+    def _count_channels(self) -> int:
+        raise NotImplementedError
+
     def _dense(self, images: Tensor) -> Tensor:
         raise NotImplementedError
 
@@ -109,9 +113,7 @@ class DinoTeacher(_PretrainedTeacher):
     }
     EXAMPLE = "dinov2-base"
 
-    @property
-    def channels(self) -> int:
-        """Channels of a feature."""
+    def _count_channels(self) -> int:
         return int(self._model.config.hidden_size)
 
     def _dense(self, images: Tensor) -> Tensor:
@@ -178,11 +180,6 @@ class _TextTeacher(_PretrainedTeacher):
                 raise too_long(text, len(found), self._longest)
         return unit(self._embedded([*texts]))
 
-    @property
-    def channels(self) -> int:
-        """Channels of a feature and of a text's vector."""
-        raise NotImplementedError
-
     def _embedded(self, texts: list[str]) -> Tensor:
         raise NotImplementedError
 
@@ -198,9 +195,7 @@ class ClipTeacher(_TextTeacher):
     EXAMPLE = "clip-vit-base-patch16"
     MEAN, STD = _CLIP_MEAN, _CLIP_STD
 
-    @property
-    def channels(self) -> int:
-        """Channels of a feature and of a text's vector."""
+    def _count_channels(self) -> int:
         return int(self._model.config.projection_dim)
 
     def _dense(self, images: Tensor) -> Tensor:
@@ -241,9 +236,7 @@ class SiglipTeacher(_TextTeacher):
     EXAMPLE = "siglip2-base-patch16-224"
     MEAN, STD = _HALF, _HALF
 
-    @property
-    def channels(self) -> int:
-        """Channels of a feature and of a text's vector."""
+    def _count_channels(self) -> int:
         return int(self._model.config.vision_config.hidden_size)
 
     def _dense(self, images: Tensor) -> Tensor:
