@@ -1,0 +1,1 @@
+"""Libraries of scenes: every object of every scene, found by text or image."""
