@@ -25,6 +25,7 @@ COMMANDS = {
     "render": "pictures or a film of a scene",
     "export": "a scene as files that other programs open",
     "import": "a scene from a file of Gaussians",
+    "library": "the objects of many scenes, found by text or image",
     "doctor": "what this machine has and lacks",
     "evaluate": "measure a model on rooms with known truth",
     "train": "train a model",
