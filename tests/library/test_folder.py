@@ -206,8 +206,8 @@ def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_pat
         found = held(folder / "lib")
         assert found in allowed[reached:], f"after {kills} operations"
         reached = allowed.index(found)
-        FolderLibrary(folder / "lib").verify()
         if kills % 7 == 0:  # the next writer takes it from there
+            FolderLibrary(folder / "lib").verify()
             library = FolderLibrary.create(folder / "lib")
             library.add("/after", made_entries(2))
             assert held(folder / "lib") == found | {"/after": 2}
