@@ -17,6 +17,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,13 +28,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.data.photometric import photometric_change
+from instok3d.data.scenes import SceneFrames
 from instok3d.data.sensor import SensorConfig, sensor_change
-from instok3d.evaluation.confusion import Confusion
+from instok3d.evaluation.teachers import measure_teacher
 from instok3d.files import replacing
 from instok3d.rooms.dataset import RoomDataset
 from instok3d.rooms.seen_colors import NAMES as COLORS
-from instok3d.semantics.classes import LSM_CLASSES, LSM_OF_ROOM, PHRASES, ROOM_CLASSES
-from instok3d.semantics.predictor import STRIDE, Predictor, PredictorConfig, classification
+from instok3d.semantics.classes import PHRASES, ROOM_CLASSES
+from instok3d.semantics.predictor import STRIDE, Predictor, PredictorConfig
 from instok3d.semantics.targets import target_vectors
 from instok3d.semantics.teachers.file import save_teacher
 from instok3d.semantics.teachers.rooms import RoomTeacher
@@ -186,29 +188,11 @@ def losses(
     return angle.sum() / total, named, color
 
 
-@torch.no_grad()
-def look(
-    predictor: Predictor, frames: Frames, phrases: Tensor, per_room: int
-) -> tuple[Confusion, Confusion, float]:
-    """Held-out rooms: all classes, LSM's eight, and the mean cosine to the target."""
-    rooms, lsm = Confusion(ROOM_CLASSES), Confusion(LSM_CLASSES)
-    onto = torch.tensor([*LSM_OF_ROOM, -1])
-    cosines = []
-    for place in frames.held_out:
-        for frame in np.linspace(0, 15, per_room + 2).round().astype(int)[1:-1]:
-            photo = frames.photo(place, int(frame))
-            with torch.autocast("cpu", torch.bfloat16):
-                features = predictor(photo.image)
-            full = functional.interpolate(
-                features.float(), scale_factor=STRIDE, mode="bilinear", align_corners=False
-            )
-            found = classification(full, phrases)[0].argmax(dim=0)
-            rooms.add(photo.classes, found)
-            lsm.add(onto[photo.classes], onto[found])
-            known = photo.targets >= 0
-            wanted = photo.vectors[photo.targets.clamp_min(0)].movedim(-1, 0)
-            cosines.append(functional.cosine_similarity(full[0], wanted, dim=0)[known].mean())
-    return rooms, lsm, float(torch.stack(cosines).mean())
+def held_out_scenes(frames: Frames, per_room: int) -> Iterator[SceneFrames]:
+    """Some frames of every held-out room."""
+    chosen = np.linspace(0, 15, per_room + 2).round().astype(int)[1:-1].tolist()
+    for folder, number in frames.held_out:
+        yield frames.rooms[folder].frames(number, chosen)
 
 
 def main() -> None:
@@ -271,10 +255,10 @@ def train(given: argparse.Namespace) -> None:
             sums.zero_()
             _log(given.output, step=step, part=part, angle=angle, classes=named, colors=color)
         if step % given.look_every == 0:
-            _report(given, frames, phrases, predictor, average, step, per_room=1)
+            _report(given, frames, predictor, average, step, per_room=1)
             _save(given.output / "checkpoint.pt", step, time.monotonic() - began, predictor,
                   optimizer, average)  # fmt: skip
-    _report(given, frames, phrases, predictor, average, step, per_room=4)
+    _report(given, frames, predictor, average, step, per_room=4)
     _save(given.output / "checkpoint.pt", step, 60 * given.minutes, predictor, optimizer, average)
 
 
@@ -295,17 +279,18 @@ def _parameter_groups(predictor: Predictor, given: argparse.Namespace) -> list[d
 
 
 def _report(
-    given: argparse.Namespace, frames: Frames, phrases: Tensor, predictor: Predictor,
+    given: argparse.Namespace, frames: Frames, predictor: Predictor,
     average: WeightAverage, step: int, *, per_room: int,
 ) -> None:  # fmt: skip
     """Write the teacher of the averaged weights, and what it says of the held-out rooms."""
     with average.applied(predictor):
         teacher = RoomTeacher(predictor, frames.table)
         save_teacher(teacher, given.output / "teacher.safetensors", overwrite=True)
-        rooms, lsm, cosine = look(predictor, frames, phrases, per_room)
+        quality = measure_teacher(teacher, held_out_scenes(frames, per_room))
     predictor.train()
+    rooms, lsm = quality.rooms, quality.lsm
     _log(given.output, step=step, lsm_miou=lsm.mean_iou(), lsm_accuracy=lsm.accuracy(),
-         rooms_miou=rooms.mean_iou(), rooms_accuracy=rooms.accuracy(), cosine=cosine)  # fmt: skip
+         rooms_miou=rooms.mean_iou(), rooms_accuracy=rooms.accuracy())  # fmt: skip
     by_class = {name: round(iou, 2) for name, iou in rooms.ious().items() if iou == iou}
     _log(given.output, **{name: round(iou, 3) for name, iou in lsm.ious().items()}, rooms=by_class)
 
