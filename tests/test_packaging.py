@@ -84,6 +84,7 @@ def test_the_wheel_holds_code_assets_and_the_mark_of_types_but_no_sources_of_ker
         name for name in names if ".dist-info/" not in name
     }
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert any(name.endswith("licenses/NOTICE") for name in names)
 
 
 def test_an_installed_package_knows_what_it_was_built_from(tree: Path, wheel: Path, tmp_path: Path):

@@ -11,9 +11,11 @@ from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.data.scenes import SceneFrames
+from instok3d.data.words import ObjectWords
 from instok3d.datasets.prepared.format import SceneRecord, Split, read_scene
 from instok3d.datasets.prepared.index import read_index
 from instok3d.datasets.prepared.masks import MADE_BY, read_masks_record
+from instok3d.datasets.scannet.labels import TABLE, read_label_table
 from instok3d.reading import naming_damage, open_png
 
 _SIXTEEN_BITS = ("I;16", "I")
@@ -27,6 +29,9 @@ class PreparedScenes:
         folder: Written by `instok3d data prepare`.
         splits: Those that are kept.
         masks: Take the ids that this model made (`instok3d data masks`) instead of the true ones.
+
+    Where ScanNet's label table lies in the folder, instances have words: each the class that most
+    of its labelled pixels have in the frames that are read.
 
     Raises:
         FileNotFoundError: The folder has no index, or scenes have no such masks.
@@ -52,6 +57,8 @@ class PreparedScenes:
                 f"{len(unposed)} scenes in {self.folder} have no cameras, such as {unposed[0]}; "
                 "they serve for masks alone: delete them, or prepare them again with cameras"
             )
+        table = self.folder / TABLE
+        self._class_names = read_label_table(table).names if table.is_file() else {}
         self._names = tuple(name for name, _ in kept)
         self._counts = tuple(entry["num_frames"] for _, entry in kept)
         if masks is not None:
@@ -98,6 +105,7 @@ class PreparedScenes:
         images = [_read_png(folder, "images", k, (*shape[1:], 3)) for k in chosen]
         ids = self._layer(record, folder, self._id_layer, chosen)
         depths = self._layer(record, folder, "depths", chosen)
+        labels = self._layer(record, folder, "labels", chosen) if self._class_names else None
         return SceneFrames(
             name=self._names[number],
             images=torch.from_numpy(np.stack(images))
@@ -107,6 +115,7 @@ class PreparedScenes:
             depths_m=torch.zeros(shape) if depths is None else depths.float() / 1000,
             world_from_cam=torch.from_numpy(record.world_from_cam[list(chosen)]),
             intrinsics=torch.from_numpy(record.intrinsics[list(chosen)]),
+            words={} if ids is None or labels is None else self._words(ids, labels),
         )
 
     def labels(
@@ -115,6 +124,20 @@ class PreparedScenes:
         """Raw class ids of these frames, 0 = unlabelled; None where the scene has none."""
         folder = self.folder / self._names[number]
         return self._layer(self.record(number), folder, "labels", chosen)
+
+    def _words(
+        self,
+        ids: Int[Tensor, "frame height width"],
+        labels: Int[Tensor, "frame height width"],
+    ) -> dict[int, ObjectWords]:
+        inside = (ids > 0) & (labels > 0)
+        pairs, counts = torch.stack([ids[inside], labels[inside]]).unique(dim=1, return_counts=True)
+        words: dict[int, ObjectWords] = {}
+        for place in counts.argsort(stable=True).tolist():  # the most frequent one stays
+            name = self._class_names.get(int(pairs[1, place]), "")
+            if name:
+                words[int(pairs[0, place])] = ObjectWords(name.lower())
+        return words
 
     def _layer(
         self, record: SceneRecord, folder: Path, layer: str, chosen: Sequence[int]
