@@ -11,6 +11,7 @@ from instok3d.scene.edits.folder import editing
 from instok3d.scene.scene import Scene
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.session import Session, axis_and_angle
+from made_encoder import made_encoder
 from made_scene import HEIGHT, WIDTH, made_empty_scene, made_scene, made_tokens
 from splat_scenes import furnished_scene
 
@@ -61,6 +62,29 @@ def test_the_list_selects_by_any_name(session: Session):
     with pytest.raises(KeyError, match="no object 7"):
         session.select(7)
     assert ids(session) == [1, 3]
+
+
+def test_words_select_what_they_mean(scene: Scene):
+    session = Session(scene.duplicate(1, (0.3, 0, 0)), encoder=made_encoder())
+    said = session.search("all chairs")
+    assert ids(session) == [1, 5]
+    assert said.startswith("all objects like 'chair': object#")
+    session.search("the lamp")
+    assert ids(session) == [3]
+    session.search("chair")
+    assert ids(session) in ([1], [5])
+    before = ids(session)
+    with pytest.raises(KeyError, match="'table' is not present in this scene"):
+        session.search("table")
+    with pytest.raises(ValueError, match="the question is empty"):
+        session.search(" ")
+    assert ids(session) == before
+
+
+def test_without_an_encoder_there_is_no_search(session: Session):
+    assert not session.can_search
+    with pytest.raises(ValueError, match="this scene has no semantics"):
+        session.search("chair")
 
 
 def test_what_goes_is_no_longer_selected_and_comes_back_by_undo(session: Session, scene: Scene):

@@ -20,6 +20,7 @@ COMMANDS = {
     "refine": "a scene made sharper on its photos",
     "info": "what is in a scene",
     "objects": "the objects of a scene as data",
+    "query": "objects of a scene by a text or a picture",
     "edit": "objects removed, moved, inserted, merged; undo and redo",
     "view": "a scene in the browser, to look at and to edit",
     "render": "pictures or a film of a scene",

@@ -49,6 +49,8 @@ TAKES: dict[str, tuple[str, ...]] = {
     "duplicate": ("by", "yaw", "factor"), "recolor": ("color",), "split": ("box",),
     "up": ("direction",),
 }  # fmt: skip
+MANY = ("remove", "only", "merge", "hide", "show")
+"""Operations that take several objects."""
 NEEDS = {"rotate": "yaw", "scale": "factor", "duplicate": "by", "recolor": "color",
          "up": "direction"}  # fmt: skip
 
@@ -67,9 +69,9 @@ def run(
 ) -> None:
     """Edit objects of a scene; the source stays, and every edit can be undone.
 
-    Objects are named by id, key (chair#3) or label; of another scene as other.itk:7. rename takes
-    an object and its new label; up changes what turns, orbits and exports take for it. log prints
-    what was done.
+    Objects are named by id, key (chair#3) or label, in a scene with semantics in words too ("all
+    chairs"); of another scene as other.itk:7. rename takes an object and its new label; up changes
+    what turns, orbits and exports take for it. log prints what was done.
 
     Args:
         scene: A scene folder; its log grows unless --output is given.
@@ -130,7 +132,7 @@ def check_arguments(operation: str, objects: tuple[str, ...], options: Options) 
         raise ValueError(f"{operation} needs --{needed}")
     if operation == "move" and (options.by, options.yaw, options.factor) == (None, None, None):
         raise ValueError("move needs --by, --yaw or --factor")
-    many = operation in ("remove", "only", "merge", "hide", "show")
+    many = operation in MANY
     wanted = 0 if operation in ("up", "undo", "redo", "log") else 2 if operation == "rename" else 1
     if len(objects) < wanted or (len(objects) > wanted and not many):
         what = {0: "no objects", 1: "one object", 2: "an object and a label"}[wanted]
@@ -146,9 +148,13 @@ def edit(
     Raises:
         KeyError, ValueError, FileNotFoundError: See `instok3d.scene.edits.editable`.
     """
-    from instok3d.cli.targets import object_name
+    from instok3d.cli.targets import object_by_words, objects_by_words
 
-    named = [object_name(each) for each in objects]
+    named: list[int] = []
+    if operation in MANY:
+        named = [found for each in objects for found in objects_by_words(scene, each)]
+    elif operation != "insert" and objects:  # whose object is another scene's
+        named = [object_by_words(scene, objects[0])]
     yaw, factor = options.yaw or 0.0, 1.0 if options.factor is None else options.factor
     by = options.by or (0.0, 0.0, 0.0)
     box = None if options.box is None else (options.box[:3], options.box[3:])
@@ -174,15 +180,16 @@ def edit(
 
 
 def _insert(scene: "Scene", origin: str, options: Options) -> "Scene":
-    from instok3d.cli.targets import object_name
+    from instok3d.cli.targets import object_by_words
     from instok3d.scene.scene import Scene
 
     path, colon, name = origin.rpartition(":")
     if not colon or not path or not name:
         raise ValueError(f"insert takes a scene and an object, such as other.itk:7, got {origin!r}")
-    on = None if options.on is None else object_name(options.on)
+    on = None if options.on is None else object_by_words(scene, options.on)
+    other = Scene.load(path)
     return scene.insert(
-        Scene.load(path), object_name(name), options.at, on=on, yaw=options.yaw or 0.0,
+        other, object_by_words(other, name), options.at, on=on, yaw=options.yaw or 0.0,
         scale=options.factor,
     )  # fmt: skip
 

@@ -35,13 +35,14 @@ def run(
             like Detection3DArray).
         sh: Degree of the colours. Bands that the scene lacks are zeros: many viewers read only
             degree 0 and 3.
-        only: Id or key of one object to write alone.
+        only: Id, key or label of one object to write alone; in a scene with semantics also words
+            such as "the red chair", or "all chairs" for several.
         with_ids: Add a last column object_id (0: no object) to a PLY; some viewers refuse it.
         up: An axis such as z (-y: --up=-y), or x y z: up for this command. `instok3d edit SCENE up`
             sets it for good.
         overwrite: Replace files that are already there.
     """
-    from instok3d.cli.targets import check_target, load_scene, object_name
+    from instok3d.cli.targets import check_target, load_scene, objects_by_words
     from instok3d.formats.layouts import check_layout, write_layout
     from instok3d.formats.object_folder import write_object_folder
     from instok3d.formats.parts import only_objects
@@ -59,7 +60,7 @@ def run(
     if per_object is not None:
         check_target(per_object, overwrite=overwrite, folder=True)
     whole = load_scene(scene, up)
-    loaded = whole.drawn() if only is None else only_objects(whole, [object_name(only)])
+    loaded = whole.drawn() if only is None else only_objects(whole, objects_by_words(whole, only))
     options = ExportOptions(sh_degree=sh, with_ids=with_ids, overwrite=overwrite)
     if format is not None and output is not None:
         write_layout(format, output, loaded, overwrite=overwrite)

@@ -45,7 +45,8 @@ def run(
         height: Of the pictures, pixels. One side alone keeps the shape; both together show more on
             two sides where the shape is another one, and never stretch.
         width: Likewise.
-        only: Id or key of one object to draw alone, on white.
+        only: Id, key or label of one object to draw alone, on white; in a scene with semantics also
+            words such as "the red chair".
         ids: Also write which object each pixel shows: NNN_ids.png with the ids in a folder, the
             objects' display colours below the pictures of a .png and instead of those of an .mp4.
         holes: Hatch in magenta where the picture showed what was removed and shows nothing now.
@@ -54,7 +55,7 @@ def run(
         overwrite: Replace files that are already there.
     """
     from instok3d.cli.progress import plain_warnings
-    from instok3d.cli.targets import check_file, load_scene, object_name
+    from instok3d.cli.targets import check_file, load_scene, objects_by_words
     from instok3d.scene.paths import camera_path
 
     if output.suffix:
@@ -68,7 +69,7 @@ def run(
     loaded = load_scene(scene, up)
     with plain_warnings():
         way = fit_to_file(camera_path(loaded, path, frames, height, width), output, ids=ids)
-    drawn = None if only is None else loaded.object(object_name(only)).id  # fails before a file is
+    drawn = None if only is None else objects_by_words(loaded, only)  # fails before a file is
     shots = take_shots(loaded, way, drawn, ids=ids, holes=holes)
     if output.suffix in FILMS:
         count = write_film(shots, output, fps, overwrite=overwrite)
@@ -113,7 +114,7 @@ class Shot:
 def take_shots(
     scene: "Scene",
     path: "SizedCameras",
-    only: int | str | None,
+    only: list[int] | None,
     *,
     ids: bool,
     holes: bool = False,

@@ -48,6 +48,30 @@ def load_scene(path: Path, up: tuple[str, ...] | None) -> "Scene":
     return scene if vertical is None else replace(scene, vertical=vertical)
 
 
-def object_name(text: str) -> int | str:
-    """An object's id or key as it was typed."""
-    return int(text) if text.isdecimal() else text
+def objects_by_words(scene: "Scene", text: str) -> list[int]:
+    """Ids of the objects that a person names, by id, key or label, or in words ("the red chair").
+
+    Words are understood where the scene has semantics of the encoder that comes with instok3d.
+
+    Raises:
+        KeyError: There is no such object, or the words may mean several; says which.
+        ValueError: The words are not understood.
+    """
+    from instok3d.scene.query import named_objects
+    from instok3d.semantics.query.shipped import shipped_encoder
+
+    encoder = shipped_encoder(scene.semantics) if scene.semantics else None
+    return [item.id for item in named_objects(scene, text, encoder)]
+
+
+def object_by_words(scene: "Scene", text: str) -> int:
+    """The id of the one object that a person names, as `objects_by_words`.
+
+    Raises:
+        KeyError: There is no such object, or several.
+        ValueError: The words are not understood, or ask for several.
+    """
+    first, *more = objects_by_words(scene, text)
+    if more:
+        raise ValueError(f"{text!r} means {1 + len(more)} objects: name one of them")
+    return first

@@ -375,10 +375,16 @@ def extent_along(gaussians: Gaussians, direction: Point) -> tuple[float, float]:
 
     As far as their boxes reach: the quantiles from TAIL to 1 - TAIL.
     """
-    points, weights = _support(gaussians)
-    axis = torch.tensor(direction, dtype=torch.float64)
-    low, high = _extent((points @ axis)[:, None], weights)
+    low, high = extents_along(gaussians, torch.tensor(direction, dtype=torch.float64)[:, None])
     return float(low), float(high)
+
+
+def extents_along(
+    gaussians: Gaussians, axes: Float[Tensor, "3 axis"]
+) -> tuple[Float[Tensor, " axis"], Float[Tensor, " axis"]]:
+    """As `extent_along`, of several directions of unit length (columns), float64."""
+    points, weights = _support(gaussians)
+    return _extent(points @ axes, weights)
 
 
 def _support(

@@ -25,6 +25,8 @@ from instok3d.semantics.tokens import pixel_features, render_semantics
 from instok3d.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
+    from instok3d.scene.query import Answers
+    from instok3d.semantics.query.encoder import QueryEncoder
     from instok3d.viewer.app import Viewer
 
 NONE: Mapping[str, "Scene"] = MappingProxyType({})
@@ -79,6 +81,44 @@ class Scene(EditableScene):
             KeyError: The scene has no such object, or several of that label.
         """
         return find_object(self.objects, which)
+
+    def query(
+        self,
+        text: str | None = None,
+        *,
+        image: Float[Tensor, "3 height width"] | None = None,
+        k: int = 5,
+        encoder: "QueryEncoder | None" = None,
+    ) -> "Answers":
+        """The objects that a text or a picture means, the likeliest first; none if none is.
+
+        A text names a thing, with a colour, a material, a size or a place, such as "the red chair
+        next to the window"; sizes and places are those of boxes. "all chairs" asks for all of
+        them. Hidden objects are not there. See docs/queries.md.
+
+        Args:
+            text: What is looked for, or
+            image: a picture of one thing, sRGB in [0, 1].
+            k: At most so many objects, unless the text asks for several.
+            encoder: Of the scene's semantics; None takes the one that comes with instok3d.
+
+        Raises:
+            ValueError: The scene has no semantics, the text is not understood, both or neither of
+                text and image are given, or k is below 1.
+            FileNotFoundError: No weights of the encoder are there (MissingWeightsError).
+        """
+        from instok3d.scene.query import SceneQueries  # the encoder's weights come with it
+        from instok3d.semantics.query.shipped import find_encoder
+
+        if (text is None) == (image is None):
+            raise ValueError("give a text or an image to search for, one of the two")
+        if k < 1:
+            raise ValueError(f"k must be at least 1, got {k}")
+        queries = SceneQueries(self, encoder or find_encoder(self.semantics))
+        if image is not None:
+            return queries.picture(image, k)
+        assert text is not None
+        return queries.text(text, k)
 
     def render(
         self,

@@ -17,6 +17,7 @@ from instok3d.formats.registry import ExportOptions, export_scene
 from instok3d.geometry.moving import Similarity
 from instok3d.pictures import color_picture
 from instok3d.scene.scene import Scene
+from instok3d.semantics.query.shipped import shipped_encoder
 from instok3d.viewer.cameras import Stand, first_stand, stand_of_view, typical_distance
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.panel import Panel
@@ -205,5 +206,6 @@ def view(
         ModuleNotFoundError: viser is not installed.
         ValueError: A bad token, or no such address or port.
     """
-    session = Session(scene, folder=folder, others=others)
+    encoder = shipped_encoder(scene.semantics) if scene.semantics else None
+    session = Session(scene, folder=folder, others=others, encoder=encoder)
     return Viewer(session, host=host, port=port, token=token, title=title)

@@ -63,6 +63,8 @@ class Panel:
             self._button("Undo", session.undo),
             self._button("Redo", session.redo),
         )
+        if session.can_search:
+            self._add_search()
         self._add_edits(use_gizmo)
         if session.others:
             self._add_insertion()
@@ -135,6 +137,21 @@ class Panel:
         """Buttons side by side."""
         group = self._gui.add_button_group(label, tuple(operations))
         group.on_click(lambda event: self._do(operations[event.target.value], event.client))
+
+    def _add_search(self) -> None:
+        """A box that selects what words mean, and says how they were understood."""
+        with self._gui.add_folder("Search"):
+            asked = self._gui.add_text(
+                "Find", "", hint="the red chair; all lamps; largest table; lamp on the desk"
+            )
+            said = self._gui.add_html("")
+
+            def find() -> None:
+                said.content = ""
+                said.content = f"<p style='padding: 0 .75em'>{escape(search(asked.value))}</p>"
+
+            search = self._session.search
+            self._button("Search", find)
 
     def _add_edits(self, use_gizmo: Callable[[bool], None]) -> None:
         session = self._session

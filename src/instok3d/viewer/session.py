@@ -14,7 +14,9 @@ from instok3d.geometry.moving import Point, Quaternion, Similarity
 from instok3d.scene.edits.arguments import Number
 from instok3d.scene.neighbours import Neighbour
 from instok3d.scene.objects import SceneObject
+from instok3d.scene.query import SceneQueries
 from instok3d.scene.scene import Scene
+from instok3d.semantics.query.encoder import QueryEncoder
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.picking import Picked, pick
 
@@ -46,6 +48,7 @@ class Session:
         *,
         folder: SceneFolder | None = None,
         others: Mapping[str, Scene] = MappingProxyType({}),
+        encoder: QueryEncoder | None = None,
     ) -> None:
         """Begin with nothing selected.
 
@@ -53,7 +56,9 @@ class Session:
             scene: What is shown.
             folder: Keeps the edits; None keeps them in memory alone.
             others: Scenes whose objects can be inserted, by name.
+            encoder: Of the scene's semantics, for `search`; None: there is none.
         """
+        self._encoder = encoder
         self._shown = Shown(scene)
         self._folder = folder
         self._lock = threading.RLock()
@@ -113,6 +118,28 @@ class Session:
         with self._lock:
             selected = self._shown.selected ^ {self.scene.object(which).id}
             self._shown = replace(self._shown, selected=selected)
+
+    @property
+    def can_search(self) -> bool:
+        """Whether objects can be found by words."""
+        return self._encoder is not None
+
+    def search(self, text: str) -> str:
+        """Select the objects that a text means; what was understood and found, in words.
+
+        Raises:
+            KeyError: None is there.
+            ValueError: The text is not understood, or there is no encoder.
+        """
+        if self._encoder is None:
+            raise ValueError("this scene has no semantics: nothing can be searched for in it")
+        with self._lock:
+            answers = SceneQueries(self.scene, self._encoder).text(text)
+            if not answers.present:
+                raise KeyError(f"{text!r} is not present in this scene{answers.closest_words()}")
+            ids = [answer.object.id for answer in answers]
+            self.select(*ids if answers.several else ids[:1])
+        return f"{answers.understood}: {answers.words()}"
 
     def click(
         self,
