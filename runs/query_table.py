@@ -1,0 +1,214 @@
+"""How often questions about test rooms are answered right, by true words and by a teacher.
+
+python runs/query_table.py ROOMS --table TABLE [--teacher FILE] [--views 2] [--scenes 100]
+python runs/query_table.py ROOMS... --fit --teacher FILE [--write]
+
+The first form prints the table of docs/results.md: top 1 / top 3 of each kind of question. --fit
+takes the held-out rooms of training folders (`hold_out_last`), fits the calibration of the teacher
+on them, prints it, and with --write keeps it in the teacher's file. Thresholds and weights are
+chosen there alone, never on test rooms, and on no synonym.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
+from instok3d.evaluation.queries import (
+    Outcome,
+    RoomQuestion,
+    figures,
+    is_a,
+    outcome,
+    table,
+)
+from instok3d.evaluation.query_rooms import RoomTruth, by_teacher, by_words, room_truth
+from instok3d.files import replacing
+from instok3d.rooms.dataset import RoomDataset
+from instok3d.semantics.classes import PHRASES
+from instok3d.semantics.query.calibration import (
+    Calibration,
+    fit_logistic,
+    fit_scale,
+    naming_threshold,
+    passing_threshold,
+)
+from instok3d.semantics.query.encoder import QueryEncoder
+from instok3d.semantics.query.grammar import understand
+from instok3d.semantics.query.ranking import (
+    COLOR_NAMES,
+    Candidates,
+    Ranker,
+    class_probabilities,
+    similarity,
+)
+from instok3d.semantics.query.shipped import load_encoder, save_calibration
+from instok3d.semantics.text import load_table
+from instok3d.training.held_out import hold_out_last
+
+Rooms = list[RoomTruth]
+Answerer = Callable[[RoomTruth], Candidates]
+FITTED_KINDS = ("class", "colour + class", "two colours", "place", "size")
+"""Of questions that the threshold is chosen by: no synonyms, which are for tests."""
+
+
+class TableTeacher:
+    """Texts of a table alone: what true words are compared with."""
+
+    name = "words"
+
+    def __init__(self, file: Path) -> None:
+        self.table = load_table(file)
+        self.channels = self.table.rows.shape[1]
+
+    def features(self, images: torch.Tensor) -> torch.Tensor:
+        """None: words see nothing."""
+        raise ValueError("words have no features of photos")
+
+    def text(self, texts: Sequence[str]) -> torch.Tensor:
+        """A unit vector for each text."""
+        return self.table.embed(texts)
+
+    def crop(self, image: torch.Tensor) -> torch.Tensor:
+        """None: words see nothing."""
+        raise ValueError("words have no vector of a picture")
+
+
+def context_frames(views: int, num_frames: int) -> Sequence[int]:
+    """The context views of a room."""
+    if views == 2:
+        return two_view_protocol(num_frames).context
+    every = eight_view_protocol(num_frames).context
+    return every if views == 8 else every[:: 8 // views]
+
+
+def read_rooms(folders: Sequence[Path], views: int, *, held_out: bool, scenes: int) -> Rooms:
+    """The truth of test rooms, or of the held-out rooms of training folders."""
+    found = []
+    for folder in folders:
+        rooms = RoomDataset(folder)
+        numbers = hold_out_last(len(rooms))[1] if held_out else range(min(scenes, len(rooms)))
+        for number in numbers:
+            frames = context_frames(views, rooms.num_frames(number))
+            found.append(room_truth(rooms, number, frames))
+    return found
+
+
+def answers(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> list[Outcome]:
+    """Outcomes of all questions of all rooms."""
+    found = []
+    for room in rooms:
+        candidates = answerer(room)
+        ranker = Ranker(candidates, encoder.embed, encoder.vocabulary, encoder.calibration)
+        for question in room.questions:
+            found.append(answered(question, ranker, len(room.things)))
+    return found
+
+
+def answered(question: RoomQuestion, ranker: Ranker, count: int) -> Outcome:
+    """The outcome of one question."""
+    probabilities = ranker.question(understand(question.text))
+    return outcome(question, probabilities, range(count))
+
+
+def fitted(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> Calibration:
+    """The calibration of an encoder by the truth of rooms."""
+    known = [(room, answerer(room)) for room in rooms]
+    known = [(room, each) for room, each in known if len(room.things)]
+    vectors = torch.cat([each.vectors for _, each in known])
+    words = [thing.words for room, _ in known for thing in room.things]
+    # 1. Scales: the class and the colour of each thing by a softmax over cosines.
+    truth = torch.tensor([PHRASES.index(each.label) for each in words])
+    class_scale = min(20.0, fit_scale(vectors @ encoder.vocabulary.vectors.T, truth))
+    colored = [row for row, each in enumerate(words) if each.color in COLOR_NAMES]
+    colors = torch.tensor([COLOR_NAMES.index(words[row].color) for row in colored])
+    color_scale = fit_scale(vectors[colored] @ encoder.embed(COLOR_NAMES).T, colors)
+    # 2. Weights: is a thing of the class that is asked for?
+    values, meant = examples(known, encoder, class_scale)
+    weights, bias = fit_logistic(values, meant, ridge=1.0)
+    score, margin = weights.tolist()
+    first = Calibration(class_scale, color_scale, score, margin, bias)
+    # 3. Thresholds.
+    shares = class_probabilities(vectors, encoder.vocabulary, class_scale)
+    right = shares.argmax(dim=1) == truth
+    label_threshold = naming_threshold(shares.amax(dim=1), right)
+    outcomes = answers(rooms, answerer, QueryEncoder(encoder.teacher, first))
+    best = torch.tensor([each.best for each in outcomes if each.kind in FITTED_KINDS])
+    values_of = vars(first) | {
+        "threshold": passing_threshold(best), "label_threshold": label_threshold,
+    }  # fmt: skip
+    return Calibration(**values_of)
+
+
+def examples(
+    known: Sequence[tuple[RoomTruth, Candidates]], encoder: QueryEncoder, class_scale: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Score and margin of every thing for every class, and whether it is one."""
+    values, meant = [], []
+    for room, candidates in known:
+        labels = [thing.words.label for thing in room.things]
+        for name, vector in zip(PHRASES, encoder.vocabulary.vectors, strict=True):
+            scores, best = similarity(candidates.vectors, vector, encoder.vocabulary, class_scale)
+            # A table is neither right nor wrong where a side table is asked for.
+            sure = torch.tensor([is_a(each, name) or not is_a(name, each) for each in labels])
+            values.append(torch.stack([scores, scores - best], dim=1)[sure])
+            meant.append(torch.tensor([is_a(each, name) for each in labels])[sure])
+    return torch.cat(values), torch.cat(meant)
+
+
+def keep(calibration: Calibration, file: Path) -> None:
+    """Write the calibration into the metadata of a teacher's file."""
+    with safe_open(file, "pt") as opened:
+        metadata = opened.metadata() or {}
+        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    with replacing(file, overwrite=True) as part:
+        save_file(tensors, part, {**metadata, **save_calibration(calibration)})
+
+
+def main() -> None:
+    """Print the table, or fit the calibration."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("rooms", type=Path, nargs="+")
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--teacher", type=Path)
+    parser.add_argument("--views", type=int, choices=(2, 4, 8), default=2)
+    parser.add_argument("--scenes", type=int, default=100)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    if given.table is None and given.teacher is None:
+        parser.error("give --table, --teacher, or both")
+    rooms = read_rooms(given.rooms, given.views, held_out=given.fit, scenes=given.scenes)
+    encoders: dict[str, tuple[QueryEncoder, Answerer]] = {}
+    if given.table is not None:
+        words = TableTeacher(given.table)
+        by_table: Answerer = lambda room: by_words(room, words.table)  # noqa: E731
+        encoders["true words, true masks"] = QueryEncoder(words), by_table
+    if given.teacher is not None:
+        encoder = load_encoder(given.teacher)
+        by_photos: Answerer = lambda room: by_teacher(room, encoder.teacher)  # noqa: E731
+        encoders["teacher, true masks"] = encoder, by_photos
+    if given.fit:
+        for name, (encoder, answerer) in encoders.items():
+            calibration = fitted(rooms, answerer, encoder)
+            print(name, json.dumps(calibration.to_json(), indent=1))
+            found = answers(rooms, answerer, QueryEncoder(encoder.teacher, calibration))
+            print(table({name: figures(found, calibration.threshold)}))
+            if given.write and given.teacher is not None and name.startswith("teacher"):
+                keep(calibration, given.teacher)
+        return
+    rows = {
+        name: figures(answers(rooms, answerer, encoder), encoder.calibration.threshold)
+        for name, (encoder, answerer) in encoders.items()
+    }
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    with torch.no_grad():
+        main()
