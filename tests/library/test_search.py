@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from instok3d.library.search import dot_products, nearest
+from instok3d.library.native_search import kernel
+from instok3d.library.search import dot_products, in_blocks, nearest
 
 
 def unit(rng: np.random.Generator, rows: int, channels: int) -> np.ndarray:
@@ -26,6 +27,44 @@ def test_the_twin_in_double_precision(rows: int, channels: int):
     found = nearest(values, query, 10)
     assert found.rows.tolist() == np.argsort(-wanted, kind="stable")[:10].tolist()
     np.testing.assert_allclose(found.scores, wanted[found.rows], atol=1e-12)
+
+
+def test_every_kernel_and_pytorch_give_the_same():
+    if kernel is None:
+        pytest.skip("the kernel was not built with instok3d")
+    # All magnitudes of float16, the smallest below the normal ones; sizes beside whole vectors.
+    rng = np.random.default_rng(4)
+    for channels in (1, 31, 64, 100, 384):
+        bits = rng.integers(0, 1 << 16, (77, channels), dtype=np.uint16)
+        values = bits.view(np.float16)
+        values[~np.isfinite(values)] = 1
+        query = rng.standard_normal(channels).astype(np.float32)
+        wanted = values.astype(np.float64) @ query.astype(np.float64)
+        scale = np.abs(values).astype(np.float64) @ np.abs(query)
+        slow = in_blocks(values, query, np.empty(77, np.float32))
+        assert (np.abs(slow - wanted) <= 1e-6 * channels * scale + 1e-12).all()
+        for name in kernel.kernels():
+            for threads in (1, 2):
+                found = np.full(77, np.nan, np.float32)
+                kernel.dot_products(
+                    values.view(np.uint16), query, found, threads=threads, kernel=name
+                )
+                assert (np.abs(found - wanted) <= 1e-6 * channels * scale + 1e-12).all(), name
+
+
+def test_the_kernel_takes_no_other_shapes():
+    if kernel is None:
+        pytest.skip("the kernel was not built with instok3d")
+    rows = np.zeros((3, 4), np.uint16)
+    for query, scores in ((5, 3), (4, 2)):
+        with pytest.raises(ValueError, match="has the shape"):
+            kernel.dot_products(
+                rows, np.zeros(query, np.float32), np.zeros(scores, np.float32), threads=1
+            )
+    with pytest.raises(ValueError, match="no kernel other on this processor"):
+        kernel.dot_products(
+            rows, np.zeros(4, np.float32), np.zeros(3, np.float32), threads=1, kernel="other"
+        )
 
 
 def test_rows_that_rounding_cannot_tell_apart_are_in_order():
