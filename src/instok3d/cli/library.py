@@ -45,7 +45,7 @@ def add(library: Library, scenes: Scenes, /, encoder: str | None = None) -> None
     is printed.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
         scenes: Scene folders with semantics.
         encoder: Whose features are taken, where scenes have those of several.
     """
@@ -79,7 +79,7 @@ def query(
     """Print the objects that are nearest to a text or to a picture, of all scenes of a library.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
         text: What to look for.
         image: Or a picture of it.
         k: How many objects.
@@ -118,7 +118,7 @@ def remove(library: Library, scenes: Scenes, /) -> None:
     """Take scenes out of a library; the scenes themselves stay.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
         scenes: As `instok3d library list` shows them, or as they were given to `add`.
     """
     from instok3d.library.opening import open_library
@@ -136,7 +136,7 @@ def list_scenes(library: Library, /, json: bool = False) -> None:
     """Print the scenes of a library.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
         json: Print one JSON object.
     """
     from instok3d.library.opening import open_library
@@ -159,7 +159,7 @@ def compact(library: Library, /) -> None:
     """Give back the room of what was removed, and make the library one file again.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
     """
     from instok3d.library.opening import open_library
 
@@ -170,7 +170,7 @@ def verify(library: Library, /) -> None:
     """Look at every byte of a library; ends with exit code 2 where something is damaged.
 
     Args:
-        library: A folder.
+        library: A folder, or milvus://HOST:PORT/NAME.
     """
     from instok3d.library.opening import open_library
 
