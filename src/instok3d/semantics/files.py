@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import safe_open
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from instok3d.files import write_safetensors
 from instok3d.model.file_checks import config_of_json
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.reading import naming_damage, parse_json, text
+from instok3d.semantics.eight_bits import narrowed, widened
 from instok3d.semantics.model import SemanticModel
 from instok3d.semantics.tokens import SemanticTokensConfig
 
@@ -53,18 +53,15 @@ def save_semantics(
         encoder: Name of the encoder whose features it lifts.
         tokenizer_sha256: Of the tokenizer it belongs to, see `tokenizer_digest`.
         card: How it was trained, on what, under which licence: JSON values.
-        half: Store float16.
+        half: Store matrices in 8 bits and the rest in 16.
         beside: More tensors and metadata, such as the encoder's (`teachers.file.teacher_tensors`).
 
     Raises:
-        ValueError: A weight is not finite (in float16, where that is asked for).
+        ValueError: A weight is not finite in float16, where that is asked for.
     """
-    state = dict(beside[0])
-    for name, value in model.state_dict().items():
-        stored = value.half() if half else value.float()
-        if not stored.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
-        state[PREFIX + name] = stored.contiguous()
+    weights = model.state_dict()
+    stored = narrowed(weights) if half else {k: v.float() for k, v in weights.items()}
+    state = dict(beside[0]) | {PREFIX + name: value for name, value in stored.items()}
     metadata = {
         "format": FORMAT,
         "encoder": encoder,
@@ -92,7 +89,7 @@ def load_semantics(path: Path, tokenizer: Tokenizer) -> LoadedSemantics:
     with naming_damage(path, REMEDY), safe_open(path, "pt") as file:
         metadata = file.metadata() or {}
         names = [name for name in file.keys() if name.startswith(PREFIX)]  # noqa: SIM118
-        state = {name.removeprefix(PREFIX): file.get_tensor(name).float() for name in names}
+        stored = {name.removeprefix(PREFIX): file.get_tensor(name) for name in names}
     found = {k.removeprefix(PREFIX): v for k, v in metadata.items() if k.startswith(PREFIX)}
     if found.get("format") != FORMAT:
         raise ValueError(f"{path} holds no semantics of format {FORMAT!r}; {REMEDY}")
@@ -103,11 +100,9 @@ def load_semantics(path: Path, tokenizer: Tokenizer) -> LoadedSemantics:
             SemanticTokensConfig, parse_json(found["config"], "its sizes", ""), {}
         )
         model = SemanticModel(tokenizer, sizes)
-        for name, value in state.items():
-            if not value.isfinite().all():
-                raise ValueError(f"weight {name} is not finite")
+        weights = widened(stored)
         try:
-            model.load_state_dict(state)
+            model.load_state_dict(weights)
         except RuntimeError as error:
             raise ValueError("its weights are not those of its sizes") from error
         card = parse_json(found["card"], "its card", "")
@@ -120,6 +115,6 @@ def tokenizer_digest(tokenizer: Tokenizer) -> str:
     for name, value in sorted(tokenizer.state_dict().items()):
         digest.update(name.encode())
         whole = value.detach().cpu()
-        numbers = whole.to(torch.float16) if whole.is_floating_point() else whole
+        numbers = whole.half() if whole.is_floating_point() else whole
         digest.update(numbers.contiguous().numpy().tobytes())
     return digest.hexdigest()

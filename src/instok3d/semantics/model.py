@@ -69,12 +69,25 @@ class SemanticModel(nn.Module):
             features: Phi of the photos, at any resolution.
             geometry: See `Tokenizer.forward`.
         """
+        groups = tokenizer(views, geometry, self.lift(tokenizer, views, features))
+        return groups, self.tokens(groups)
+
+    def lift(
+        self,
+        tokenizer: Tokenizer,
+        views: Views,
+        features: Float[Tensor, "batch view feature rows columns"],
+    ) -> PatchLift:
+        """What the tokenizer is to carry along; see `forward`."""
         height, width = views.images.shape[-2:]
         patch = tokenizer.backbone.patch_size
-        lift = PatchLift(self.stream, at_patches(features, height // patch, width // patch))
-        groups = tokenizer(views, geometry, lift)
-        assert groups.anchors.lifted is not None
-        return groups, self.decoder(groups.anchors.lifted, groups.tokens)
+        return PatchLift(self.stream, at_patches(features, height // patch, width // patch))
+
+    def tokens(self, groups: TokenGroups) -> SemanticTokens:
+        """The semantic tokens of groups whose anchors carry theirs, those that are left."""
+        if groups.anchors.lifted is None:
+            raise ValueError("no features were lifted into these groups")
+        return self.decoder(groups.anchors.lifted, groups.tokens)
 
 
 def at_patches(

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int8
 from safetensors import safe_open
 from torch import Tensor
 
 from instok3d.files import replacing, write_safetensors
 from instok3d.reading import naming_damage, one_of, parse_json, text, whole_number
+from instok3d.semantics.eight_bits import narrowed, widened
 from instok3d.semantics.predictor import Predictor, PredictorConfig
 from instok3d.semantics.teachers.rooms import RoomTeacher
 from instok3d.semantics.text import TextTable
@@ -24,6 +24,7 @@ PREFIX = "teacher."
 RECORD = "teacher"
 """Of the metadata: what is no tensor, as JSON."""
 REMEDY = "make it again or take the one that comes with instok3d"
+PREDICTOR = "predictor."
 SIZES = tuple(asdict(PredictorConfig()))
 MAX_SIZE = 4096
 """Of a network; sizes beyond are taken for damage."""
@@ -32,13 +33,8 @@ MAX_SIZE = 4096
 def teacher_tensors(teacher: RoomTeacher) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors, by names with PREFIX, and metadata that a teacher is made of again."""
     tensors = {"table.rows": teacher.table.rows, "table.scales": teacher.table.scales}
-    for name, value in teacher.predictor.state_dict().items():
-        if value.ndim > 1:
-            rows, scales = rounded(value)
-            tensors[f"predictor.{name}"] = rows
-            tensors[f"predictor.{name}.scales"] = scales
-        else:
-            tensors[f"predictor.{name}"] = value.half()
+    for name, value in narrowed(teacher.predictor.state_dict()).items():
+        tensors[f"{PREDICTOR}{name}"] = value
     record = {
         "format": FORMAT,
         "name": teacher.name,
@@ -109,15 +105,6 @@ def load_teacher(path: Path, device: torch.device | str = "cpu") -> RoomTeacher:
     return teacher
 
 
-def rounded(
-    values: Float[Tensor, "row *column"],
-) -> tuple[Int8[Tensor, "row *column"], Float[Tensor, " row"]]:
-    """Each row in 127 steps of its largest value, and the size of a step."""
-    flat = values.detach().float().flatten(1)
-    scales = flat.abs().amax(dim=1).clamp_min(1e-9) / 127
-    return (flat / scales[:, None]).round().to(torch.int8).view(values.shape), scales
-
-
 def _table(own: Mapping[str, Tensor], record: Mapping[str, Any]) -> TextTable:
     rows, scales = own["table.rows"], own["table.scales"]
     vocabulary = tuple(text(piece) for piece in record["vocabulary"])
@@ -132,18 +119,9 @@ def _table(own: Mapping[str, Tensor], record: Mapping[str, Any]) -> TextTable:
 
 def _weights(own: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Of the predictor, float32."""
-    weights = {}
-    for name, value in own.items():
-        if not name.startswith("predictor.") or name.endswith(".scales"):
-            continue
-        whole = value.float()
-        if value.dtype == torch.int8:
-            scales = own[f"{name}.scales"]
-            whole = whole * scales.view(-1, *[1] * (value.ndim - 1))
-        if not whole.isfinite().all():
-            raise ValueError(f"{name} has values that are not finite")
-        weights[name.removeprefix("predictor.")] = whole
-    return weights
+    return widened(
+        {k.removeprefix(PREDICTOR): v for k, v in own.items() if k.startswith(PREDICTOR)}
+    )
 
 
 def _check_shapes(weights: Mapping[str, Tensor], config: PredictorConfig) -> None:
