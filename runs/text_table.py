@@ -9,6 +9,7 @@ FOLDER has model.safetensors, config.json and vocab.txt of sentence-transformers
 2. The 256 directions of most variance are kept.
 3. Frequent pieces count less: the vocabulary is sorted by frequency, and the weight of a piece
    grows with the logarithm of its rank.
+4. Pieces that no English text has are left out: unused ones, and those beyond ASCII.
 """
 
 import argparse
@@ -81,8 +82,11 @@ def main() -> None:
     _, _, directions = torch.linalg.svd(centred.T @ centred)
     reduced = centred @ directions[:CHANNELS].T
     weighted = reduced * torch.log1p(torch.arange(len(vocabulary)))[:, None]
-    save_table(quantized(weighted, vocabulary, SOURCE), given.output)
-    print(f"{given.output}: {len(vocabulary)} pieces, {given.output.stat().st_size / 1e6:.1f} MB")
+    kept = [n for n, piece in enumerate(vocabulary)
+            if piece.isascii() and not piece.startswith("[unused")]  # fmt: skip
+    table = quantized(weighted[kept], [vocabulary[n] for n in kept], SOURCE)
+    save_table(table, given.output)
+    print(f"{given.output}: {len(kept)} pieces, {given.output.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

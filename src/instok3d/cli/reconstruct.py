@@ -23,6 +23,7 @@ def run(
     model: Path | None = None,
     refine: int | None = None,
     clean_up: bool = True,
+    semantics: str = "auto",
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -51,6 +52,8 @@ def run(
             model's single pass gives them. None takes the default.
         clean_up: Join groups that hold one thing and give loose pieces to what surrounds them;
             --no-clean-up leaves the model's groups as they are.
+        semantics: What names the objects and lets them be searched: auto, the encoder that comes
+            with the default model; none; or a file that `instok3d train export` wrote for --model.
         keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
             second one ends the command.
         max_views: Of more photos, this many are chosen to cover all.
@@ -65,8 +68,9 @@ def run(
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
         geometry=geometry, allow_outside=allow_outside, up=up, model=model, refine=refine,
-        clean_up=clean_up, keep_interrupted=keep_interrupted, max_views=max_views, seed=seed,
-        device=device, overwrite=overwrite, json=json, timings=timings,
+        clean_up=clean_up, semantics=semantics, keep_interrupted=keep_interrupted,
+        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
+        timings=timings,
     )  # fmt: skip
 
 
@@ -81,6 +85,7 @@ def make_scene(
     model: Path | None = None,
     refine: int | None = None,
     clean_up: bool = True,
+    semantics: str = "auto",
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -107,7 +112,7 @@ def make_scene(
             scene = reconstruct(
                 photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside, up=up,
                 model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
-                clean_up=clean_up,
+                clean_up=clean_up, semantics=semantics,
                 max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
         with plain_warnings():

@@ -22,6 +22,7 @@ from instok3d.scene.checked_geometry import checked_geometry
 from instok3d.scene.clean_up import cleaned
 from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.geometry_source import GeometrySource, find_source
+from instok3d.scene.lifting import AUTO, find_lifting
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
 from instok3d.scene.scene import Scene
@@ -51,6 +52,7 @@ def reconstruct(
     seed: int = 0,
     refine: int = DEFAULT_STEPS,
     clean_up: bool = True,
+    semantics: str | Path = AUTO,
     max_views: int = 16,
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
@@ -87,6 +89,8 @@ def reconstruct(
         refine: Steps of refinement at the size that the model sees; 0 for none. `instok3d.refine`
             refines a scene further, at more pixels too.
         clean_up: Join groups that hold one thing, and give loose pieces to what surrounds them.
+        semantics: What names the objects and lets them be searched: "auto", the encoder that comes
+            with the default model; "none"; or a file that `train export` wrote for this model.
         max_views: Of more photos, this many are chosen to cover all.
         device: Where the model runs; the scene comes back on the CPU.
         progress: Called with the name of each stage as it begins, and behind a colon with how far
@@ -126,6 +130,7 @@ def reconstruct(
             first=source.work(work.views) if isinstance(source, GeometrySource) else None,
         )  # fmt: skip
     tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
+    lifting = find_lifting(semantics, tokenizer, default=model is None)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
@@ -135,7 +140,9 @@ def reconstruct(
         )
         begin("tokens")
         photo_set = checked.photos
-        tokens = tokenizer(photo_set.views.to(device), checked.geometry).to("cpu")
+        views = photo_set.views.to(device)
+        lift = None if lifting is None else lifting.of(tokenizer, views)
+        tokens = tokenizer(views, checked.geometry, lift).to("cpu")
         if checked.unsure_patches is not None:
             tokens = without_patches(tokens, checked.unsure_patches)
     notes = choice_notes + ([TRAINED_ON_ROOMS] if model is None else [])
@@ -161,11 +168,14 @@ def reconstruct(
     )
     if vertical is not None:
         scene = replace(scene, vertical=vertical)
+    if lifting is not None:
+        scene = lifting.with_semantics(scene, tokens)
     if refine:
         begin("refinement")
         scene = refined(scene, refinement, progress=progress, stop=stop)
     begin("objects")
-    return with_objects(cleaned_scene(scene) if clean_up else scene)
+    scene = with_objects(cleaned_scene(scene) if clean_up else scene)
+    return scene if lifting is None else lifting.named(scene)
 
 
 def cleaned_scene(scene: Scene) -> Scene:

@@ -48,7 +48,10 @@ class SemanticModel(nn.Module):
             config: Of the semantic tokens.
         """
         super().__init__()
-        self.stream = SemanticStream(config.feature_channels, tokenizer.anchor_decoder.decoder)
+        self.stream = SemanticStream(
+            config.feature_channels, tokenizer.anchor_decoder.decoder,
+            mlp_ratio=config.stream_mlp_ratio,
+        )  # fmt: skip
         sizes = tokenizer.config
         self.decoder = SemanticDecoder(sizes.width, config, head_size=sizes.head_size)
 

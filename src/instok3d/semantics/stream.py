@@ -15,19 +15,20 @@ class SemanticStream(nn.Module):
     paper's reference for "reuse").
     """
 
-    def __init__(self, feature_channels: int, decoder: Decoder):
+    def __init__(self, feature_channels: int, decoder: Decoder, *, mlp_ratio: int = 4):
         """Maps for a decoder, which is not kept.
 
         Args:
             feature_channels: D, of the 2D features.
             decoder: D_anchor.
+            mlp_ratio: Hidden width of the MLPs over the tokens' width; the decoder's own have 4.
         """
         super().__init__()
         width = decoder.norm.normalized_shape[0]
         self.source = nn.Sequential(nn.Linear(feature_channels, width), nn.LayerNorm(width))
         self.start = nn.Linear(width, width)
         self.layers = nn.ModuleList(
-            SemanticLayer(width, self_attention=layer.self_attention is not None)
+            SemanticLayer(width, mlp_ratio, self_attention=layer.self_attention is not None)
             for layer in decoder.each_layer()
         )
         self.norm = nn.LayerNorm(width)
@@ -60,15 +61,16 @@ class SemanticStream(nn.Module):
 class SemanticLayer(nn.Module):
     """One layer of the stream beside a frozen layer of the decoder."""
 
-    def __init__(self, width: int, *, self_attention: bool):
+    def __init__(self, width: int, mlp_ratio: int, *, self_attention: bool):
         super().__init__()
         self.cross_value = nn.Linear(width, width, bias=False)
         self.cross_out = nn.Linear(width, width)
         self.self_norm = nn.LayerNorm(width) if self_attention else None
         self.self_value = nn.Linear(width, width, bias=False) if self_attention else None
         self.self_out = nn.Linear(width, width) if self_attention else None
+        hidden = mlp_ratio * width
         self.mlp = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width)
+            nn.LayerNorm(width), nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width)
         )
 
     def forward(

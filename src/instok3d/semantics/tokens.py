@@ -43,6 +43,8 @@ class SemanticTokensConfig:
     """d (Sec. 4)."""
     group_layers: int = 4
     """Of the semantic group decoder; the paper's anchor-group decoder has as many (Sec. 4)."""
+    stream_mlp_ratio: int = 4
+    """Hidden width of the semantic stream's MLPs over the tokens' width."""
     num_basis: int = 1
     """Shared features for each group; more than the paper's one can tell parts of a thing apart."""
 

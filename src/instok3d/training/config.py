@@ -260,7 +260,7 @@ PRESETS = {
     ),
     "nano-semantics": TrainConfig(
         stage=SemanticsStageConfig(
-            tokens=SemanticTokensConfig(feature_channels=256, group_layers=2)
+            tokens=SemanticTokensConfig(feature_channels=256, group_layers=2, stream_mlp_ratio=1)
         ),
         batches=BatchConfig(batch_size=2, views=(2, 2, 4), num_targets=1, mirror=True),
         steps=4_000,

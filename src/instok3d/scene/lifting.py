@@ -1,0 +1,87 @@
+"""Semantics of a new scene: what the 2D encoder of a model sees in the photos, lifted into it."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from instok3d.model.tokenizer import Tokenizer
+from instok3d.scene.labels import with_labels
+from instok3d.scene.scene import Scene
+from instok3d.scene.semantics import check_encoder, scene_semantics
+from instok3d.semantics.files import load_semantics
+from instok3d.semantics.labels import class_labels
+from instok3d.semantics.model import PatchLift, SemanticModel
+from instok3d.semantics.query.encoder import QueryEncoder
+from instok3d.semantics.query.shipped import SHIPPED, load_encoder
+from instok3d.types import TokenGroups, Views
+
+AUTO, NONE = "auto", "none"
+
+
+@dataclass(frozen=True)
+class Lifting:
+    """An encoder, and what lifts its features into the scenes of one model."""
+
+    encoder: QueryEncoder
+    model: SemanticModel
+
+    @torch.no_grad()
+    def of(self, tokenizer: Tokenizer, views: Views) -> PatchLift:
+        """What the tokenizer carries through its windows, for photos on its device."""
+        features = self.encoder.teacher.features(views.images.flatten(0, 1).cpu())
+        features = features.unflatten(0, views.images.shape[:2]).to(views.images)
+        return self.model.to(views.images.device).lift(tokenizer, views, features)
+
+    @torch.no_grad()
+    def with_semantics(self, scene: Scene, groups: TokenGroups) -> Scene:
+        """The scene with its semantic tokens.
+
+        Args:
+            scene: Before anything but its Gaussians has changed.
+            groups: What it was made of, on the CPU.
+        """
+        found = scene_semantics(self.model.cpu().tokens(groups))
+        name = check_encoder(self.encoder.teacher.name)
+        return replace(scene, semantics={**scene.semantics, name: found})
+
+    def named(self, scene: Scene) -> Scene:
+        """The scene with its objects named by what the encoder says of them."""
+        name = self.encoder.teacher.name
+        vectors = object_vectors(scene, name)
+        labels = class_labels(vectors, self.encoder.vocabulary, self.encoder.calibration)
+        ids = (item.id for item in scene.objects)
+        return with_labels(scene, dict(zip(ids, labels, strict=True)), name)
+
+
+def object_vectors(scene: Scene, encoder: str) -> Float[Tensor, "object channel"]:
+    """A unit vector for each object of a scene; zeros for one of which nothing is known."""
+    rows = torch.tensor([item.id - 1 for item in scene.objects], dtype=torch.long)
+    return functional.normalize(scene.semantics[encoder].of_groups()[rows], dim=1)
+
+
+def find_lifting(choice: str | Path, tokenizer: Tokenizer, *, default: bool) -> Lifting | None:
+    """What a model's scenes get their semantics from.
+
+    Args:
+        choice: "auto", that which comes with the default model; "none"; or a file.
+        tokenizer: The model.
+        default: Whether it is the default one; others have no semantics unless a file is given.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds no semantics of this model, or is damaged.
+    """
+    if choice == NONE or (choice == AUTO and not (default and SHIPPED.is_file())):
+        return None
+    path = SHIPPED if choice == AUTO else Path(choice)
+    loaded, encoder = load_semantics(path, tokenizer), load_encoder(path)
+    if loaded.encoder != encoder.teacher.name:
+        raise ValueError(
+            f"{path} lifts features of {loaded.encoder!r} but holds the encoder "
+            f"{encoder.teacher.name!r}: export it again"
+        )
+    return Lifting(encoder, loaded.model)
