@@ -7,10 +7,10 @@ import torch
 from torch.nn import functional
 
 from instok3d.files import write_safetensors
+from instok3d.semantics.eight_bits import rounded
 from instok3d.semantics.predictor import Predictor, PredictorConfig
 from instok3d.semantics.teacher import Teacher
 from instok3d.semantics.teachers import open_teacher
-from instok3d.semantics.eight_bits import rounded
 from instok3d.semantics.teachers.file import load_teacher, save_teacher, teacher_tensors
 from instok3d.semantics.teachers.rooms import RoomTeacher
 from instok3d.semantics.text import quantized

@@ -15,8 +15,11 @@ from instok3d.data.words import ObjectWords
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.semantics.files import load_semantics, save_semantics, tokenizer_digest
+from instok3d.semantics.predictor import Predictor, PredictorConfig
 from instok3d.semantics.targets import target_map
-from instok3d.semantics.text import quantized, save_table
+from instok3d.semantics.teachers.file import load_teacher, save_teacher
+from instok3d.semantics.teachers.rooms import RoomTeacher
+from instok3d.semantics.text import load_table, quantized, save_table
 from instok3d.semantics.tokens import SemanticTokensConfig
 from instok3d.training.stages.answers import AveragedRun
 from instok3d.training.stages.semantics import SemanticRun, SemanticsStage, SemanticsStageConfig
@@ -149,6 +152,26 @@ def test_an_exported_file_serves_its_tokenizer_alone(
         load_semantics(file, other)
     halved = model.tokenizer.half().float()
     assert tokenizer_digest(halved) == tokenizer_digest(model.tokenizer)
+
+
+def test_the_encoder_of_rooms_goes_along(
+    tiny: SemanticsStageConfig, model: SemanticRun, sample: Sample, table: Path, tmp_path: Path
+):
+    sizes = PredictorConfig(
+        channels=16, width=32, layers=1, head_width=16, quarter_channels=8, half_channels=8
+    )
+    torch.manual_seed(3)
+    teacher = RoomTeacher(Predictor(sizes), load_table(table), "rooms-made")
+    save_teacher(teacher, tmp_path / "teacher.safetensors")
+    config = replace(tiny, teacher=f"rooms:{tmp_path / 'teacher.safetensors'}")
+    loss = config.build().loss(model, sample, 0)
+    assert loss.total.isfinite()
+    file = tmp_path / "semantics.safetensors"
+    config.export(AveragedRun(tmp_path, model.state_dict(), {}), file, half=True)
+    assert load_semantics(file, model.tokenizer).encoder == "rooms-made"
+    photos = sample.context.images[0]
+    again = load_teacher(tmp_path / "teacher.safetensors").features(photos)
+    assert torch.equal(load_teacher(file).features(photos), again)
 
 
 def test_damaged_semantics_are_named(model: SemanticRun, tmp_path: Path):

@@ -28,7 +28,9 @@ from instok3d.pictures import color_picture, contact_sheet, titled_rows
 from instok3d.semantics.files import save_semantics, tokenizer_digest
 from instok3d.semantics.model import SemanticModel
 from instok3d.semantics.targets import target_map
+from instok3d.semantics.teachers.file import teacher_tensors
 from instok3d.semantics.teachers.opening import FORMS, open_teacher
+from instok3d.semantics.teachers.rooms import RoomTeacher
 from instok3d.semantics.text import load_table
 from instok3d.semantics.tokens import (
     SemanticMaps,
@@ -135,12 +137,18 @@ class SemanticsStageConfig(StageConfig):
         return self.target_cameras == "true"
 
     def export(self, run: AveragedRun, output: Path, *, half: bool) -> None:
-        """Write the semantics alone, with the hash of the tokenizer that they belong to."""
+        """Write the semantics, with the hash of the tokenizer that they belong to.
+
+        The encoder of rooms goes along; others stay where they are.
+        """
         model = self.new_model()
         model.load_state_dict(run.weights)
+        teacher = opened(self.teacher)
+        encoder = teacher.teacher if isinstance(teacher, PhotoTeacher) else None
         save_semantics(
-            model.semantic, output, encoder=opened(self.teacher).name, card=run.card, half=half,
+            model.semantic, output, encoder=teacher.name, card=run.card, half=half,
             tokenizer_sha256=tokenizer_digest(model.tokenizer),
+            beside=teacher_tensors(encoder) if isinstance(encoder, RoomTeacher) else ({}, {}),
         )  # fmt: skip
 
 
