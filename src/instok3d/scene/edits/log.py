@@ -290,13 +290,14 @@ def _read_part(value: Any, assets: Path) -> Part:
     k, c = len(tensors["positions"]), tensors["group"].shape[-1]
     _check_tensors(tensors, {"positions": (k, 3), "anchors": (k, c), "group": (c,)})
     gaussians = _gaussians(tensors)
-    tokens = [tensors[name] for name in ("positions", "anchors", "group")]
-    if not all(each.isfinite().all() for each in tokens):
+    positions, anchors, group = (tensors[name] for name in ("positions", "anchors", "group"))
+    if not all(each.isfinite().all() for each in (positions, anchors, group)):
         raise ValueError("the tokens of a part must be finite")
     if int(gaussians.anchor_index.max()) >= k:
         raise ValueError(f"anchor_index beyond {k}")
     packs = {name: each for name, each in tensors.items() if name not in own}
-    return Part(gaussians, *tokens, unpacked(packs, groups=1, anchors=k))
+    semantics = unpacked(packs, groups=1, anchors=k)
+    return Part(gaussians, positions, anchors, group, semantics)
 
 
 KINDS: dict[str, Kind] = {
