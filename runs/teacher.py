@@ -2,7 +2,8 @@
 
     python runs/teacher.py --rooms FOLDER... --table TABLE --start MODEL -o RUN
 
-Rooms with words, the text table, and a model whose nano encoder is where the network starts. The
+Rooms with words, the text table, and a model whose nano encoder is where the network starts, or an
+earlier teacher. The
 run goes on where it stopped; RUN/teacher.safetensors is written at every look at the held-out
 rooms (the last 5 % of each folder). The learning rate falls with the time that was used, so that
 a run ends well when its --minutes are over; it therefore depends on the machine.
@@ -37,7 +38,7 @@ from instok3d.rooms.seen_colors import NAMES as COLORS
 from instok3d.semantics.classes import PHRASES, ROOM_CLASSES
 from instok3d.semantics.predictor import STRIDE, Predictor, PredictorConfig
 from instok3d.semantics.targets import target_vectors
-from instok3d.semantics.teachers.file import save_teacher
+from instok3d.semantics.teachers.file import PREFIX, load_teacher, save_teacher
 from instok3d.semantics.teachers.rooms import RoomTeacher
 from instok3d.semantics.text import TextTable, load_table
 from instok3d.training.checkpoint import WeightAverage, read_weights
@@ -195,7 +196,7 @@ def held_out_scenes(frames: Frames, per_room: int) -> Iterator[SceneFrames]:
         yield frames.rooms[folder].frames(number, chosen)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Train, look, save."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--rooms", type=Path, nargs="+", required=True)
@@ -210,7 +211,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=16)
     parser.add_argument("--look-every", type=int, default=400)
     parser.add_argument("--threads", type=int, default=1)
-    train(parser.parse_args())
+    train(parser.parse_args(arguments))
 
 
 def train(given: argparse.Namespace) -> None:
@@ -223,11 +224,7 @@ def train(given: argparse.Namespace) -> None:
     chooser = Chooser(frames)
     phrases, colors = table.embed(PHRASES), table.embed(COLORS)
     predictor = Predictor(PredictorConfig(channels=phrases.shape[1]))
-    start = read_weights(given.start)
-    predictor.start_from_nano({
-        name.removeprefix("backbone."): value.float() for name, value in start.items()
-        if name.startswith("backbone.")
-    })  # fmt: skip
+    _start(predictor, given.start)
     optimizer = torch.optim.AdamW(_parameter_groups(predictor, given), betas=(0.9, 0.98))
     average = WeightAverage(predictor, KEEP)
     step, used_s = _resumed(given.output / "checkpoint.pt", predictor, optimizer, average)
@@ -260,6 +257,18 @@ def train(given: argparse.Namespace) -> None:
                   optimizer, average)  # fmt: skip
     _report(given, frames, predictor, average, step, per_room=4)
     _save(given.output / "checkpoint.pt", step, 60 * given.minutes, predictor, optimizer, average)
+
+
+def _start(predictor: Predictor, path: Path) -> None:
+    """Take the weights of an earlier teacher, or of the encoder of a model."""
+    weights = read_weights(path)
+    if any(name.startswith(PREFIX) for name in weights):
+        predictor.load_state_dict(load_teacher(path).predictor.state_dict())
+        return
+    predictor.start_from_nano({
+        name.removeprefix("backbone."): value.float() for name, value in weights.items()
+        if name.startswith("backbone.")
+    })  # fmt: skip
 
 
 def _cosine(part: float) -> float:

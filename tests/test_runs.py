@@ -1,16 +1,29 @@
 """The scripts in runs/ call commands that exist, in an order that works, and can be resumed."""
 
+import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+import instok3d
+import noise_rooms
 from command_lines import parses
 from instok3d.evaluation.disturbances import DISTURBANCES
+from instok3d.files import write_json
+from instok3d.rooms.seen_colors import NAMES as COLORS
+from instok3d.rooms.shards import new_index
+from instok3d.semantics.classes import PHRASES
+from instok3d.semantics.teachers.file import load_teacher
+from instok3d.semantics.text import quantized, save_table
+from instok3d.semantics.wordpiece import UNKNOWN
+from noise_rooms import noise_scene
 
 RUNS = Path(__file__).resolve().parents[1] / "runs"
 RECORDER = """#!/usr/bin/env bash
@@ -166,3 +179,32 @@ def test_scripts_refuse_other_options(tmp_path: Path, script: str):
     )
     assert ended.returncode == 2
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_the_embedded_teacher_is_trained_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """A second of training in rooms of noise; then the finished run is taken up again."""
+    write_json(tmp_path / "rooms.json", new_index(16, "mix"))
+    words = {"id": 1, "class": "sofa", "color": "red", "material": "fabric", "pixels": [256] * 16}
+    rooms = [noise_scene(seed) for seed in range(3)]
+    noise_rooms.put(tmp_path, 0, [
+        replace(each, meta=each.meta | {"instances": [words]}, instances=each.instances * 0 + 1)
+        for each in rooms
+    ])  # fmt: skip
+    pieces = [UNKNOWN, *{piece for text in (*PHRASES, *COLORS, "fabric") for piece in text.split()}]
+    torch.manual_seed(0)
+    save_table(quantized(torch.randn(len(pieces), 8), pieces, "made up"), tmp_path / "table")
+    start = Path(instok3d.__file__).parent / "assets" / "default_model.safetensors"
+    monkeypatch.syspath_prepend(str(RUNS))
+    script = import_module("teacher")
+    arguments = ["--rooms", tmp_path, "--table", tmp_path / "table", "--start", start,
+                 "-o", tmp_path / "run", "--minutes", "0.01", "--batch", "2"]  # fmt: skip
+    for _ in range(2):
+        script.main([str(each) for each in arguments])
+    teacher = load_teacher(tmp_path / "run" / "teacher.safetensors")
+    assert teacher.features(torch.rand(1, 3, 16, 16)).isfinite().all()
+    lines = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    looks = [line for line in lines if "lsm_miou" in line]
+    assert looks[0]["step"] == looks[1]["step"] > 0

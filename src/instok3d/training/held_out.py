@@ -59,5 +59,5 @@ HELD_OUT_SHARE = 0.05
 
 def hold_out_last(count: int) -> tuple[range, range]:
     """Numbers of the scenes of one data set to train on, and of the last ones, to hold out."""
-    kept = count - round(count * HELD_OUT_SHARE)
-    return range(kept), range(kept, count)
+    held_out = max(1, round(count * HELD_OUT_SHARE)) if count > 1 else 0
+    return range(count - held_out), range(count - held_out, count)
