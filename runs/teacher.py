@@ -208,6 +208,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--lr", type=float, default=6e-4)
     parser.add_argument("--encoder-lr", type=float, default=0.5, help="times --lr")
+    parser.add_argument("--frozen", type=int, help="blocks that stay as they are, and the stem")
     parser.add_argument("--seed", type=int, default=16)
     parser.add_argument("--look-every", type=int, default=400)
     parser.add_argument("--threads", type=int, default=1)
@@ -219,12 +220,16 @@ def train(given: argparse.Namespace) -> None:
     torch.set_num_threads(given.threads)
     torch.manual_seed(given.seed)
     given.output.mkdir(parents=True, exist_ok=True)
-    table = load_table(given.table)
+    table = load_table(given.table).of_letters()
     frames = Frames(given.rooms, table)
     chooser = Chooser(frames)
     phrases, colors = table.embed(PHRASES), table.embed(COLORS)
     predictor = Predictor(PredictorConfig(channels=phrases.shape[1]))
     _start(predictor, given.start)
+    if given.frozen is not None:
+        kept = (predictor.stem, predictor.embed_position, *predictor.blocks[: given.frozen])
+        for part in kept:
+            part.requires_grad_(False)
     optimizer = torch.optim.AdamW(_parameter_groups(predictor, given), betas=(0.9, 0.98))
     average = WeightAverage(predictor, KEEP)
     step, used_s = _resumed(given.output / "checkpoint.pt", predictor, optimizer, average)
@@ -279,6 +284,8 @@ def _parameter_groups(predictor: Predictor, given: argparse.Namespace) -> list[d
     encoder = ("stem.", "embed_position.", "blocks.")
     groups: dict[tuple[bool, bool], list] = {}
     for name, parameter in predictor.named_parameters():
+        if not parameter.requires_grad:
+            continue
         groups.setdefault((name.startswith(encoder), parameter.ndim > 1), []).append(parameter)
     return [
         {"params": parameters, "weight_decay": 0.03 if decays else 0.0,
