@@ -1,7 +1,7 @@
 import pytest
 
 from instok3d.data.words import ObjectWords
-from instok3d.rooms.words import stored_words
+from instok3d.rooms.words import stored_words, with_seen_colors
 
 SOFA = {"id": 3, "class": "sofa", "color": "red", "material": "fabric", "stuff": False}
 
@@ -31,3 +31,14 @@ def test_words_of_another_kind_are_refused(change):
 def test_an_id_that_stands_twice_is_refused():
     with pytest.raises(ValueError, match="two instances of seed 7 have the id 3"):
         stored_words({"seed": 7, "instances": [SOFA, SOFA]})
+
+
+def test_seen_colours_take_the_place_of_stored_ones_but_not_behind_glass():
+    words = {1: ObjectWords("sofa", "red"), 2: ObjectWords("window", "white"),
+             3: ObjectWords("bed", "blue")}  # fmt: skip
+    assert with_seen_colors(words, {1: "pink", 2: "green", 7: "black"}) == {
+        1: ObjectWords("sofa", "pink"),
+        2: ObjectWords("window", "white"),
+        3: ObjectWords("bed", "blue"),
+    }
+    assert with_seen_colors({}, {1: "red"}) == {}

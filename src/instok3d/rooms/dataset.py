@@ -1,7 +1,7 @@
 """Reading a folder of rooms, also while it is being written."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from instok3d.data.words import ObjectWords
 from instok3d.rooms.catalogues.opened import credits_of
 from instok3d.rooms.seen_colors import seen_colors
 from instok3d.rooms.shards import Shard, read_index
+from instok3d.rooms.words import with_seen_colors
 
 
 @dataclass(frozen=True)
@@ -154,10 +155,7 @@ class RoomDataset:
             if shard.words[row]:
                 images, ids = shard.read("images", row), shard.read("instances", row)
                 colors = seen_colors(images.numpy(), ids.to(torch.int64).numpy())
-            self._words[seed] = {
-                number: replace(words, color=colors.get(number, words.color))
-                for number, words in shard.words[row].items()
-            }
+            self._words[seed] = with_seen_colors(shard.words[row], colors)
         return self._words[seed]
 
     def _shard(self, name: str) -> Shard:

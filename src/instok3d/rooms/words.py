@@ -1,6 +1,7 @@
 """The words of a room's instances, from what its shard says of them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from instok3d.data.words import ObjectWords
@@ -8,6 +9,20 @@ from instok3d.reading import text, whole_number
 
 NO_MATERIAL = ("unknown", "wall", "floor")
 """What the catalogue's textures say instead of a material."""
+SHOWS_OTHERS = ("window", "mirror")
+"""Classes whose pixels have the colours of something else; their colour is that of the frame."""
+
+
+def with_seen_colors(
+    words: Mapping[int, ObjectWords], seen: Mapping[int, str]
+) -> dict[int, ObjectWords]:
+    """The words with the colours that pictures show, where these are the thing's own."""
+    return {
+        number: each
+        if each.label in SHOWS_OTHERS
+        else replace(each, color=seen.get(number, each.color))
+        for number, each in words.items()
+    }
 
 
 def stored_words(meta: Mapping[str, Any]) -> dict[int, ObjectWords]:
