@@ -12,6 +12,7 @@ chosen there alone, never on test rooms, and on no synonym.
 import argparse
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -53,7 +54,7 @@ from instok3d.training.held_out import hold_out_last
 
 Rooms = list[RoomTruth]
 Answerer = Callable[[RoomTruth], Candidates]
-FITTED_KINDS = ("class", "colour + class", "two colours", "place", "size")
+FITTED_KINDS = ("class",)
 """Of questions that the threshold is chosen by: no synonyms, which are for tests."""
 
 
@@ -124,39 +125,37 @@ def fitted(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> Calibrati
     words = [thing.words for room, _ in known for thing in room.things]
     # 1. Scales: the class and the colour of each thing by a softmax over cosines.
     truth = torch.tensor([PHRASES.index(each.label) for each in words])
-    class_scale = min(20.0, fit_scale(vectors @ encoder.vocabulary.vectors.T, truth))
+    class_scale = fit_scale(vectors @ encoder.vocabulary.vectors.T, truth, largest=60.0)
     colored = [row for row, each in enumerate(words) if each.color in COLOR_NAMES]
     colors = torch.tensor([COLOR_NAMES.index(words[row].color) for row in colored])
     color_scale = fit_scale(vectors[colored] @ encoder.embed(COLOR_NAMES).T, colors)
     # 2. Weights: is a thing of the class that is asked for?
-    values, meant = examples(known, encoder, class_scale)
+    scales = Calibration(class_scale=class_scale, color_scale=color_scale)
+    values, meant = examples(known, encoder, scales)
     weights, bias = fit_logistic(values, meant, ridge=1.0)
-    score, margin = weights.tolist()
-    first = Calibration(class_scale, color_scale, score, margin, bias)
+    score, evidence = weights.tolist()
+    first = replace(scales, score_weight=score, evidence_weight=evidence, bias=bias)
     # 3. Thresholds.
     shares = class_probabilities(vectors, encoder.vocabulary, class_scale)
     right = shares.argmax(dim=1) == truth
     label_threshold = naming_threshold(shares.amax(dim=1), right)
     outcomes = answers(rooms, answerer, QueryEncoder(encoder.teacher, first))
     best = torch.tensor([each.best for each in outcomes if each.kind in FITTED_KINDS])
-    values_of = vars(first) | {
-        "threshold": passing_threshold(best), "label_threshold": label_threshold,
-    }  # fmt: skip
-    return Calibration(**values_of)
+    return replace(first, threshold=passing_threshold(best), label_threshold=label_threshold)
 
 
 def examples(
-    known: Sequence[tuple[RoomTruth, Candidates]], encoder: QueryEncoder, class_scale: float
+    known: Sequence[tuple[RoomTruth, Candidates]], encoder: QueryEncoder, scales: Calibration
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Score and margin of every thing for every class, and whether it is one."""
+    """Score and evidence of every thing for every class, and whether it is one."""
     values, meant = [], []
     for room, candidates in known:
         labels = [thing.words.label for thing in room.things]
         for name, vector in zip(PHRASES, encoder.vocabulary.vectors, strict=True):
-            scores, best = similarity(candidates.vectors, vector, encoder.vocabulary, class_scale)
+            found = similarity(candidates.vectors, vector, encoder.vocabulary, scales)
             # A table is neither right nor wrong where a side table is asked for.
             sure = torch.tensor([is_a(each, name) or not is_a(name, each) for each in labels])
-            values.append(torch.stack([scores, scores - best], dim=1)[sure])
+            values.append(torch.stack([found.scores, found.evidence], dim=1)[sure])
             meant.append(torch.tensor([is_a(each, name) for each in labels])[sure])
     return torch.cat(values), torch.cat(meant)
 

@@ -61,7 +61,7 @@ class MadeTeacher:
 def made_encoder() -> QueryEncoder:
     """Its calibration tells the axes apart: cosine 1 is meant, 0.5 is not."""
     return QueryEncoder(MadeTeacher(), Calibration(
-        class_scale=10.0, color_scale=10.0, score_weight=20.0, margin_weight=0.0, bias=-14.0,
+        class_scale=10.0, color_scale=10.0, score_weight=20.0, evidence_weight=0.0, bias=-14.0,
         threshold=0.5, label_threshold=0.5,
     ))  # fmt: skip
 
@@ -81,7 +81,7 @@ def write_encoder(file: Path) -> RoomTeacher:
     teacher = RoomTeacher(predictor, quantized(vectors, [UNKNOWN, *words], "made up"))
     tensors, metadata = teacher_tensors(teacher)
     calibration = Calibration(
-        class_scale=20.0, color_scale=20.0, score_weight=20.0, margin_weight=0.0, bias=-14.0,
+        class_scale=20.0, color_scale=20.0, score_weight=20.0, evidence_weight=0.0, bias=-14.0,
         threshold=0.5, label_threshold=0.5,
     )  # fmt: skip
     write_safetensors(file, tensors, {**metadata, **save_calibration(calibration)})

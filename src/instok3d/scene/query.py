@@ -30,7 +30,7 @@ class Answer:
 
     object: SceneObject
     score: float | None
-    """Similarity to the thing's name or picture, at most 1; None where any object may be meant."""
+    """Cosine with the thing's name or picture; None where any object may be meant."""
     probability: float
     """That it is meant, by the one calibration of the encoder, [0, 1]."""
     scene: "Scene" = field(compare=False)
@@ -164,7 +164,7 @@ class SceneQueries:
     def picture(self, image: Float[Tensor, "3 height width"], k: int = 5) -> Answers:
         """Answers to a picture of one thing; see `Scene.query`."""
         wanted = self._encoder.picture(image)
-        scores, _ = self._similarity(wanted)
+        scores = self._vectors @ wanted
         understood = "one object like the picture"
         return self._answers(self._ranker.picture(wanted), scores, understood, False, k)
 
@@ -184,8 +184,8 @@ class SceneQueries:
         found = torch.zeros(pixels.shape[:-1])
         for view, features in enumerate(pixels):
             flat = features.flatten(0, 1)
-            scores, best = similarity(flat, wanted, vocabulary, calibration.class_scale)
-            likely = calibration.probability(scores, best) * flat.any(dim=1)
+            alike = similarity(flat, wanted, vocabulary, calibration)
+            likely = calibration.probability(alike.scores, alike.evidence) * flat.any(dim=1)
             found[view] = likely.view(features.shape[:-1])
         return found
 
@@ -209,13 +209,7 @@ class SceneQueries:
             wanted = self._encoder.embed([thing.noun])[0]
         except ValueError:  # a name that a person gave, and no word of the encoder
             return None
-        return self._similarity(wanted)[0]
-
-    def _similarity(self, wanted: Float[Tensor, " channel"]) -> tuple[Tensor, float]:
-        encoder = self._encoder
-        return similarity(
-            self._vectors, wanted, encoder.vocabulary, encoder.calibration.class_scale
-        )
+        return self._vectors @ wanted
 
     def _answers(
         self,

@@ -15,9 +15,9 @@ from instok3d.semantics.query.calibration import (
 
 
 def test_a_probability_by_hand():
-    # 2 x 0.5 + 4 x (0.5 - 0.75) + 0 = 0: one half; of a score of 0.75: 1.5.
-    found = Calibration(score_weight=2.0, margin_weight=4.0, bias=0.0).probability(
-        torch.tensor([0.5, 0.75]), 0.75
+    # 2 x 0.5 + 4 x -0.25 + 0 = 0: one half; of a score of 0.75 and evidence 0: 1.5.
+    found = Calibration(score_weight=2.0, evidence_weight=4.0, bias=0.0).probability(
+        torch.tensor([0.5, 0.75]), torch.tensor([-0.25, 0.0])
     )
     assert found.tolist() == pytest.approx([0.5, 1 / (1 + math.exp(-1.5))])
 

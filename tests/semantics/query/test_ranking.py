@@ -1,5 +1,6 @@
 """Which objects are meant: in a space whose words are axes, worked out by hand."""
 
+import math
 from collections.abc import Sequence
 
 import pytest
@@ -41,7 +42,7 @@ CALIBRATION = Calibration(
     class_scale=20.0,
     color_scale=20.0,
     score_weight=20.0,
-    margin_weight=0.0,
+    evidence_weight=0.0,
     bias=-8.0,
     threshold=0.5,
 )
@@ -81,11 +82,17 @@ def test_classes_by_hand():
     assert shares[0].tolist() == pytest.approx([0.75, 0.25])
 
 
-def test_a_similarity_is_the_mean_of_the_own_and_that_of_the_classes():
-    # Own cosine 1; by classes, at a scale of 0, the mean of 1 and three zeros.
-    scores, best = similarity(embed(["chair"]), embed(["chair"])[0], VOCABULARY, 0.0)
-    assert float(scores[0]) == pytest.approx((1 + 0.25) / 2)
-    assert best == pytest.approx(1)
+def test_a_similarity_by_hand():
+    # Four classes, at scales of ln 3: 1/2 for the own one and 1/6 for each other one. That both
+    # are of one class: 1/4 + 3 / 36 = 1/3.
+    scales = Calibration(class_scale=math.log(3), text_scale=math.log(3))
+    found = similarity(embed(["chair"]), embed(["chair"])[0], VOCABULARY, scales)
+    assert float(found.scores[0]) == pytest.approx(1)
+    assert float(found.evidence[0]) == pytest.approx(-math.log(3))
+    other = similarity(embed(["table"]), embed(["chair"])[0], VOCABULARY, scales)
+    # 2 x 1/2 x 1/6 + 2 x 1/36 = 2/9.
+    assert float(other.scores[0]) == pytest.approx(0)
+    assert float(other.evidence[0]) == pytest.approx(math.log(2 / 9))
 
 
 @pytest.mark.parametrize(

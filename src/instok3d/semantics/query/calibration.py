@@ -26,18 +26,21 @@ LARGEST = 1e4
 class Calibration:
     """How similarities in the space of one encoder are to be read.
 
-    The defaults are fitted on the words of validation rooms in the space of the text table.
+    The defaults are round numbers for a text table, to begin with.
     """
 
-    class_scale: float = 12.0
-    """Of cosines to class phrases, before the softmax over classes."""
-    color_scale: float = 12.0
-    """Likewise of colours and of materials."""
-    score_weight: float = 12.0
-    """Of the score, in the log-odds that an object is meant."""
-    margin_weight: float = 6.0
-    """Of the score less the most that an object of any class could have for this question."""
-    bias: float = -5.0
+    class_scale: float = 40.0
+    """Of cosines of objects to class phrases, before the softmax over classes."""
+    text_scale: float = 20.0
+    """Likewise of cosines of a text to class phrases."""
+    color_scale: float = 40.0
+    """Likewise of objects to colours and to materials."""
+    evidence_weight: float = 1.0
+    """Of the logarithm of the probability that object and text are of one class, in the log-odds
+    that the object is meant."""
+    score_weight: float = 5.0
+    """Likewise of the cosine of object and text."""
+    bias: float = 0.0
     threshold: float = 0.3
     """Probability below which nothing is said to be there: TRUE_SHARE of the questions after what
     is there pass it."""
@@ -66,15 +69,15 @@ class Calibration:
         return Calibration(**found)
 
     def probability(
-        self, scores: Float[Tensor, " object"], best: float
+        self, scores: Float[Tensor, " object"], evidence: Float[Tensor, " object"]
     ) -> Float[Tensor, " object"]:
         """How likely it is that each object is meant.
 
         Args:
-            scores: Similarity of each to the question.
-            best: The largest similarity of a class phrase to the question.
+            scores: Cosine of each with the question.
+            evidence: Logarithm of the probability that each is of the class that is asked for.
         """
-        odds = self.score_weight * scores + self.margin_weight * (scores - best) + self.bias
+        odds = self.score_weight * scores + self.evidence_weight * evidence + self.bias
         return odds.sigmoid()
 
 

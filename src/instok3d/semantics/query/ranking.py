@@ -55,26 +55,34 @@ def class_probabilities(
     return (scale * vectors @ vocabulary.vectors.T).softmax(dim=1)
 
 
+@dataclass(frozen=True)
+class Similarity:
+    """How alike objects and a text or picture are, in two ways."""
+
+    scores: Float[Tensor, " object"]
+    """Cosines: they know what no class says."""
+    evidence: Float[Tensor, " object"]
+    """Logarithm of the probability that both are of the same class: it forgives noise, and what
+    is like nothing that is known has little with any object."""
+
+
 def similarity(
     vectors: Float[Tensor, "object channel"],
     wanted: Float[Tensor, " channel"],
     vocabulary: Vocabulary,
-    scale: float,
-) -> tuple[Float[Tensor, " object"], float]:
-    """How alike each object and a text or picture are, and the most that is possible of a class.
-
-    The mean of two cosines: of the embedding itself, and of what its probable classes would have.
-    The second forgives noise, the first knows what no class says.
+    calibration: Calibration,
+) -> Similarity:
+    """The similarity of objects to what is wanted.
 
     Args:
         vectors: Of the objects.
         wanted: Unit vector.
         vocabulary: Of the encoder.
-        scale: `Calibration.class_scale`.
+        calibration: Its scales.
     """
-    classes = vocabulary.vectors @ wanted
-    by_class = class_probabilities(vectors, vocabulary, scale) @ classes
-    return (vectors @ wanted + by_class) / 2, float(classes.max())
+    own = class_probabilities(vectors, vocabulary, calibration.class_scale)
+    asked = class_probabilities(wanted[None], vocabulary, calibration.text_scale)[0]
+    return Similarity(vectors @ wanted, (own @ asked).clamp_min(1e-9).log())
 
 
 class Ranker:
@@ -136,10 +144,8 @@ class Ranker:
         return torch.where(torch.tensor(named, dtype=torch.bool), torch.ones(()), found)
 
     def _like(self, wanted: Float[Tensor, " channel"]) -> Float[Tensor, " object"]:
-        scores, best = similarity(
-            self._candidates.vectors, wanted, self._vocabulary, self._calibration.class_scale
-        )
-        return self._calibration.probability(scores, best)
+        found = similarity(self._candidates.vectors, wanted, self._vocabulary, self._calibration)
+        return self._calibration.probability(found.scores, found.evidence)
 
     def _attribute(
         self,
