@@ -4,13 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-import torch
-from torch.nn import functional
-
 from instok3d.scene.objects import FILE, SEMANTICS, USER, SceneObject, key_of
 from instok3d.scene.record import SceneRecord
-from instok3d.semantics.labels import ClassLabel, class_labels
-from instok3d.semantics.query.encoder import QueryEncoder
+from instok3d.semantics.labels import ClassLabel
 
 AnyScene = TypeVar("AnyScene", bound=SceneRecord)
 
@@ -31,17 +27,6 @@ def with_labels(scene: AnyScene, labels: Mapping[int, ClassLabel], encoder: str)
         for item in scene.objects
     )
     return replace(scene, objects=objects)
-
-
-def labelled(scene: AnyScene, encoder: QueryEncoder) -> AnyScene:
-    """The scene with its objects named by the semantics of an encoder that it has."""
-    name = encoder.teacher.name
-    features = scene.semantics[name].of_groups()
-    rows = torch.tensor([item.id - 1 for item in scene.objects], dtype=torch.long)
-    vectors = functional.normalize(features[rows].float(), dim=1)
-    labels = class_labels(vectors, encoder.vocabulary, encoder.calibration)
-    named = {item.id: label for item, label in zip(scene.objects, labels, strict=True)}
-    return with_labels(scene, named, name)
 
 
 def _named(item: SceneObject, label: ClassLabel, encoder: str) -> SceneObject:
