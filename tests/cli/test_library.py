@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.cli import main
+from instok3d.semantics.query.encoder import QueryEncoder
 from made_scene import made_scene, made_tokens
 
 DIRECTIONS = {"first": 0, "second": 1, "third": 2}
@@ -20,6 +21,9 @@ class MadeTeacher:
 
     def text(self, texts: list[str]) -> Float[Tensor, "text channel"]:
         return torch.eye(3)[[DIRECTIONS[each] for each in texts]]
+
+    def features(self, images: Float[Tensor, "view 3 h w"]) -> Float[Tensor, "view 3 h w"]:
+        return images
 
     def crop(self, image: Float[Tensor, "3 height width"]) -> Float[Tensor, " channel"]:
         return image.mean(dim=(1, 2))
@@ -66,6 +70,18 @@ def test_objects_of_all_scenes_are_found_by_text(
     assert len(lines) == 4
     assert lines[0].split()[0] == "1"
     assert lines[0].endswith(rooms[0])
+
+
+def test_the_encoder_that_is_shipped_needs_no_name(
+    library: str, teacher: MadeTeacher, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):  # fmt: skip
+    monkeypatch.setattr(
+        "instok3d.semantics.query.shipped.shipped_encoder",
+        lambda names: QueryEncoder(teacher) if names == ["made-3"] else None,
+    )
+    assert main(["library", "query", library, "third", "--json"]) == 0
+    assert said(capsys)["matches"][0]["id"] == 3
 
 
 def test_objects_are_found_by_picture(

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from instok3d.library.entries import Encoder, Match
+    from instok3d.semantics.teacher import Teacher
 
 COMMANDS = {
     "add": "the objects of scenes into a library",
@@ -50,20 +51,12 @@ def add(library: Library, scenes: Scenes, /, encoder: str | None = None) -> None
         encoder: Whose features are taken, where scenes have those of several.
     """
     from instok3d.cli.progress import plain_warnings
-    from instok3d.library.opening import is_library, open_library
-    from instok3d.library.scenes import choose_encoder, entries_of, scene_place
-    from instok3d.scene.scene import Scene
+    from instok3d.library.adding import add_scene
 
     _need(scenes)
     with plain_warnings():
         for path in scenes:
-            scene = Scene.load(path)
-            opened = open_library(library) if is_library(library) else None
-            wanted = encoder or (opened.encoder.name if opened and opened.encoder else None)
-            entries = entries_of(scene, choose_encoder(scene, path, wanted), path)
-            opened = opened or open_library(library, create=True)  # only now is there reason to
-            opened.add(scene_place(path), entries)
-            print(f"{path}: {len(entries.objects)} objects")
+            print(f"{path}: {add_scene(library, path, encoder)} objects")
 
 
 def query(
@@ -84,7 +77,7 @@ def query(
         image: Or a picture of it.
         k: How many objects.
         teacher: What made the features, if it did not come with this package: lseg:FILE,
-            clip:FOLDER, siglip2:FOLDER or dino:FOLDER.
+            clip:FOLDER, siglip2:FOLDER, dino:FOLDER or rooms:FILE.
         thumbnails: A new folder for a picture of each object.
         json: Print one JSON object.
     """
@@ -189,24 +182,35 @@ def _embedding(
     encoder: "Encoder", library: str, teacher: str | None, text: str | None, image: Path | None
 ) -> "np.ndarray":
     """What was asked for, in the space of a library's encoder."""
-    from instok3d.library.entries import Encoder, check_encoder
     from instok3d.photos.image_decoding import decode_photo
-    from instok3d.semantics.teachers import FORMS, open_teacher
 
     if text is not None and not text.strip():
         raise ValueError("the text is empty: describe what to look for")
-    if teacher is None:
-        raise ValueError(
-            f"{library} holds features of {encoder.name!r}: name its weights with --teacher, one "
-            f"of {', '.join(FORMS)}"
-        )
-    asked = open_teacher(teacher)
-    check_encoder(encoder, Encoder(asked.name, asked.channels), library)
+    asked = _teacher(encoder, library, teacher)
     if text is not None:
         return asked.text([text])[0].cpu().numpy()
     assert image is not None
     photo = decode_photo(image, height=1, width=1, fit=lambda whole: whole)  # as it is
     return asked.crop(photo.image).cpu().numpy()
+
+
+def _teacher(encoder: "Encoder", library: str, given: str | None) -> "Teacher":
+    """What turns questions into embeddings of a library's encoder."""
+    from instok3d.library.entries import Encoder, check_encoder
+    from instok3d.semantics.query.shipped import shipped_encoder
+    from instok3d.semantics.teachers import FORMS, open_teacher
+
+    if given is not None:
+        asked = open_teacher(given)
+        check_encoder(encoder, Encoder(asked.name, asked.channels), library)
+        return asked
+    shipped = shipped_encoder([encoder.name])
+    if shipped is None:
+        raise ValueError(
+            f"{library} holds features of {encoder.name!r}: name its weights with --teacher, one "
+            f"of {', '.join(FORMS)}"
+        )
+    return shipped.teacher
 
 
 def _row(match: "Match") -> dict[str, Any]:
