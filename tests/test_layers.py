@@ -12,8 +12,8 @@ ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
 ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files", "reading",
          "transformers_models", "binary_gltf", "pictures", "geometry", "render", "photos", "sfm",
          "data", "rooms", "datasets", "weights", "backbones", "model", "semantics", "objectives",
-         "refinement", "scene", "webpage", "formats", "library", "evaluation", "training",
-         "baselines", "viewer", "cli"]  # fmt: skip
+         "refinement", "scene", "webpage", "formats", "library", "batch", "evaluation",
+         "training", "baselines", "viewer", "cli"]  # fmt: skip
 
 FOR_PEOPLE = {"scene/scene.py": {"viewer"}}
 """Imported late by a method that only people call: `scene.view()`."""

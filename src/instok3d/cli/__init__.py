@@ -17,6 +17,7 @@ from instok3d.version import generator
 COMMANDS = {
     "demo": "reconstruct the photos that come with the package",
     "reconstruct": "photos in, a scene of objects out",
+    "batch": "many scenes at once, from a folder of folders of photos",
     "refine": "a scene made sharper on its photos",
     "info": "what is in a scene",
     "objects": "the objects of a scene as data",

@@ -57,6 +57,7 @@ def reconstruct(
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
+    read_model: Callable[[Path | None], Tokenizer] = load_model,
 ) -> Scene:
     """A scene of objects from photos of one room. Not differentiable.
 
@@ -96,6 +97,7 @@ def reconstruct(
         progress: Called with the name of each stage as it begins, and behind a colon with how far
             it is.
         stop: Asked before every step of refinement; True ends it there.
+        read_model: What reads the model's file; one that keeps models saves time over many scenes.
 
     Raises:
         FileNotFoundError: Something named is not there; MissingWeightsError for the model or the
@@ -129,7 +131,7 @@ def reconstruct(
             *read_sizes(path), work, device=device, advice="give max_views (--max-views)",
             first=source.work(work.views) if isinstance(source, GeometrySource) else None,
         )  # fmt: skip
-    tokenizer = model if isinstance(model, Tokenizer) else load_model(path)
+    tokenizer = model if isinstance(model, Tokenizer) else read_model(path)
     lifting = find_lifting(semantics, tokenizer, default=model is None)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():

@@ -1,0 +1,34 @@
+import os
+import signal
+from pathlib import Path
+
+from instok3d.batch.pool import ProcessDiedError, run_jobs
+
+
+def work(job: tuple[int, Path]) -> tuple[int, int]:
+    """Number and process; 3 fails, 4 dies once, 5 dies always."""
+    number, folder = job
+    if number == 3:
+        raise ValueError("three is refused")
+    mark = folder / f"{number} began"
+    if number == 5 or (number == 4 and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number, os.getpid()
+
+
+def test_in_one_process_errors_are_outcomes(tmp_path: Path):
+    found = list(run_jobs(work, [(number, tmp_path) for number in (1, 3, 2)], 1))
+    assert [each.answer for each in found] == [(1, os.getpid()), None, (2, os.getpid())]
+    assert str(found[1].error) == "three is refused"
+    assert list(run_jobs(work, [], 1)) == []
+
+
+def test_a_process_that_dies_takes_no_other_job_with_it(tmp_path: Path):
+    jobs = [(number, tmp_path) for number in range(8)]
+    found = {each.job[0]: each for each in run_jobs(work, jobs, 2)}
+    assert sorted(found) == list(range(8))
+    assert {number for number, each in found.items() if each.error is not None} == {3, 5}
+    assert isinstance(found[5].error, ProcessDiedError)
+    assert found[4].answer is not None
+    assert os.getpid() not in {each.answer[1] for each in found.values() if each.answer}
