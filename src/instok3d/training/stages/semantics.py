@@ -75,7 +75,8 @@ class PhotoTeacher:
     @torch.no_grad()
     def __call__(self, images, instances, words):
         """See `SampleTeacher`."""
-        return self.teacher.features(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+        features = self.teacher.features(images.flatten(0, 1))  # bfloat16 under autocast
+        return features.float().unflatten(0, images.shape[:2])
 
 
 class WordsTeacher:
