@@ -81,6 +81,10 @@ class Frames:
         self.held_out = [(k, n) for k, split in enumerate(splits) for n in split[1]]
         self._vectors: dict[object, Tensor] = {}
 
+    def credits(self) -> list[str]:
+        """Whose work the rooms show, one line each."""
+        return sorted({line for rooms in self.rooms for line in rooms.credits})
+
     def photo(self, place: tuple[int, int], frame: int) -> Photo:
         """One frame."""
         scene = self.rooms[place[0]].frames(place[1], [frame])
@@ -300,7 +304,7 @@ def _report(
 ) -> None:  # fmt: skip
     """Write the teacher of the averaged weights, and what it says of the held-out rooms."""
     with average.applied(predictor):
-        teacher = RoomTeacher(predictor, frames.table)
+        teacher = RoomTeacher(predictor, frames.table, credits=frames.credits())
         save_teacher(teacher, given.output / "teacher.safetensors", overwrite=True)
         quality = measure_teacher(teacher, held_out_scenes(frames, per_room))
     predictor.train()

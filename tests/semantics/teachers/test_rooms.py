@@ -26,7 +26,7 @@ def teacher() -> RoomTeacher:
     )
     words = (UNKNOWN, "sofa", "red", "chair")
     table = quantized(torch.randn(4, 8), words, "made up")
-    return RoomTeacher(Predictor(config), table)
+    return RoomTeacher(Predictor(config), table, credits=["Chair by A, CC0-1.0"])
 
 
 @pytest.fixture
@@ -64,6 +64,7 @@ def test_what_was_written_is_read_back_up_to_rounding(teacher: RoomTeacher, path
     assert open_teacher(f"rooms:{path}").name == teacher.name
     assert (again.name, again.channels) == (teacher.name, teacher.channels)
     assert again.table.source == teacher.table.source
+    assert again.credits == teacher.credits == ("Chair by A, CC0-1.0",)
     assert again.text(["red sofa"]).equal(teacher.text(["red sofa"]))
     images = torch.rand(1, 3, 128, 128)
     cosines = functional.cosine_similarity(teacher.features(images), again.features(images))

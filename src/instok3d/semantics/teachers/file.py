@@ -11,7 +11,7 @@ from safetensors import safe_open
 from torch import Tensor
 
 from instok3d.files import replacing, write_safetensors
-from instok3d.reading import naming_damage, one_of, parse_json, text, whole_number
+from instok3d.reading import naming_damage, one_line, one_of, parse_json, text, whole_number
 from instok3d.semantics.eight_bits import narrowed, widened
 from instok3d.semantics.predictor import Predictor, PredictorConfig
 from instok3d.semantics.teachers.rooms import RoomTeacher
@@ -41,6 +41,7 @@ def teacher_tensors(teacher: RoomTeacher) -> tuple[dict[str, Tensor], dict[str, 
         "config": asdict(teacher.predictor.config),
         "vocabulary": teacher.table.vocabulary,
         "source": teacher.table.source,
+        "credits": teacher.credits,
     }
     whole = {PREFIX + name: value.contiguous() for name, value in tensors.items()}
     return whole, {RECORD: json.dumps(record)}
@@ -69,7 +70,8 @@ def teacher_of(
         predictor = Predictor(PredictorConfig(**sizes))
         predictor.load_state_dict(weights)
         name = text(record["name"])
-    return RoomTeacher(predictor, table, name)
+        credits = tuple(one_line(line) for line in record.get("credits", ()))
+    return RoomTeacher(predictor, table, name, credits)
 
 
 def save_teacher(teacher: RoomTeacher, path: Path, *, overwrite: bool = False) -> None:

@@ -21,12 +21,20 @@ class RoomTeacher:
         predictor: Trained; it is set to evaluation.
         table: In whose space it predicts.
         name: Of this version.
+        credits: Whose work the rooms show that it was trained on, one line each.
     """
 
-    def __init__(self, predictor: Predictor, table: TextTable, name: str = "rooms-1") -> None:
+    def __init__(
+        self,
+        predictor: Predictor,
+        table: TextTable,
+        name: str = "rooms-1",
+        credits: Sequence[str] = (),
+    ) -> None:
         self.predictor = predictor.eval()
         self.table = table
         self.name = name
+        self.credits = tuple(credits)
         self.channels = predictor.config.channels
 
     @property
