@@ -1,6 +1,6 @@
 """How often questions about test rooms are answered right, by true words and by a teacher.
 
-python runs/query_table.py ROOMS --table TABLE [--teacher FILE] [--views 2] [--scenes 100]
+python runs/query_table.py ROOMS --table TABLE [--teacher FILE] [--objects [--semantics FILE]]
 python runs/query_table.py ROOMS... --fit --teacher FILE [--write]
 
 The first form prints the table of docs/results.md: top 1 / top 3 of each kind of question. --fit
@@ -22,15 +22,27 @@ from safetensors.torch import save_file
 from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
 from instok3d.evaluation.queries import (
     Outcome,
-    RoomQuestion,
     figures,
     is_a,
     outcome,
     table,
 )
-from instok3d.evaluation.query_rooms import RoomTruth, by_teacher, by_words, room_truth
+from instok3d.evaluation.query_rooms import (
+    RoomAnswers,
+    RoomTruth,
+    by_scene,
+    by_teacher,
+    by_words,
+    mask_vectors,
+    room_scene,
+    room_truth,
+    word_vectors,
+)
 from instok3d.files import replacing
+from instok3d.model.files import load_model
 from instok3d.rooms.dataset import RoomDataset
+from instok3d.scene.lifting import find_lifting, object_vectors
+from instok3d.scene.scene import Scene
 from instok3d.semantics.classes import PHRASES
 from instok3d.semantics.query.calibration import (
     Calibration,
@@ -49,11 +61,12 @@ from instok3d.semantics.query.ranking import (
     similarity,
 )
 from instok3d.semantics.query.shipped import load_encoder, save_calibration
+from instok3d.semantics.teacher import Teacher
 from instok3d.semantics.text import load_table
 from instok3d.training.held_out import hold_out_last
 
 Rooms = list[RoomTruth]
-Answerer = Callable[[RoomTruth], Candidates]
+Answerer = Callable[[RoomTruth], RoomAnswers]
 FITTED_KINDS = ("class",)
 """Of questions that the threshold is chosen by: no synonyms, which are for tests."""
 
@@ -104,22 +117,17 @@ def answers(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> list[Out
     """Outcomes of all questions of all rooms."""
     found = []
     for room in rooms:
-        candidates = answerer(room)
-        ranker = Ranker(candidates, encoder.embed, encoder.vocabulary, encoder.calibration)
+        given = answerer(room)
+        ranker = Ranker(given.candidates, encoder.embed, encoder.vocabulary, encoder.calibration)
         for question in room.questions:
-            found.append(answered(question, ranker, len(room.things)))
+            probabilities = ranker.question(understand(question.text))
+            found.append(outcome(question, probabilities, given.thing_of))
     return found
-
-
-def answered(question: RoomQuestion, ranker: Ranker, count: int) -> Outcome:
-    """The outcome of one question."""
-    probabilities = ranker.question(understand(question.text))
-    return outcome(question, probabilities, range(count))
 
 
 def fitted(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> Calibration:
     """The calibration of an encoder by the truth of rooms."""
-    known = [(room, answerer(room)) for room in rooms]
+    known = [(room, answerer(room).candidates) for room in rooms]
     known = [(room, each) for room, each in known if len(room.things)]
     vectors = torch.cat([each.vectors for _, each in known])
     words = [thing.words for room, _ in known for thing in room.things]
@@ -169,29 +177,92 @@ def keep(calibration: Calibration, file: Path) -> None:
         save_file(tensors, part, {**metadata, **save_calibration(calibration)})
 
 
+def ways_to_answer(given: argparse.Namespace) -> dict[str, tuple[QueryEncoder, Answerer]]:
+    """Encoders and answers by the names of the table's rows."""
+    ways: dict[str, tuple[QueryEncoder, Answerer]] = {}
+    scenes = Scenes(given.semantics) if given.objects else None
+    if given.table is not None:
+        words, table = QueryEncoder(TableTeacher(given.table)), load_table(given.table)
+        ways["true words, true masks"] = words, lambda room: by_words(room, table)
+        if scenes is not None:
+            ways["true words, the scene's objects"] = (
+                words,
+                lambda room: by_scene(
+                    room,
+                    scenes.of(room),
+                    lambda _, things: shown(word_vectors(room, table), things),
+                ),
+            )
+    if given.teacher is not None:
+        encoder = load_encoder(given.teacher)
+        teacher = encoder.teacher
+        ways["teacher, true masks"] = encoder, lambda room: by_teacher(room, teacher)
+        if scenes is not None:
+            ways["teacher, the scene's objects"] = (
+                encoder,
+                lambda room: by_scene(
+                    room, scenes.of(room), lambda scene, _: seen_by(teacher, room, scene)
+                ),
+            )
+    if scenes is not None and scenes.lifting is not None:
+        lifted = scenes.lifting.encoder
+        ways["scene"] = (
+            lifted,
+            lambda room: by_scene(
+                room, scenes.of(room), lambda scene, _: object_vectors(scene, lifted.teacher.name)
+            ),
+        )
+    return ways
+
+
+class Scenes:
+    """Scenes of the default model, each made once."""
+
+    def __init__(self, semantics: Path | None) -> None:
+        """Load the model, and its semantics where they are given."""
+        self._tokenizer = load_model()
+        self.lifting = (
+            None if semantics is None else find_lifting(semantics, self._tokenizer, default=True)
+        )
+        self._made: dict[int, Scene] = {}
+
+    def of(self, room: RoomTruth) -> Scene:
+        """The scene of a room's context photos."""
+        if id(room) not in self._made:
+            self._made[id(room)] = room_scene(room, self._tokenizer, self.lifting)
+        return self._made[id(room)]
+
+
+def shown(vectors: torch.Tensor, things: Sequence[int]) -> torch.Tensor:
+    """The vectors of things; zeros for none."""
+    padded = torch.cat([vectors, vectors.new_zeros(1, vectors.shape[1])])
+    return padded[list(things)]
+
+
+def seen_by(teacher: Teacher, room: RoomTruth, scene: Scene) -> torch.Tensor:
+    """What a teacher sees where each object of a scene is seen."""
+    ids = scene.render(ids=True).ids
+    assert ids is not None
+    return mask_vectors(room.images, ids, [item.id for item in scene.objects], teacher)
+
+
 def main() -> None:
     """Print the table, or fit the calibration."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("rooms", type=Path, nargs="+")
     parser.add_argument("--table", type=Path)
     parser.add_argument("--teacher", type=Path)
+    parser.add_argument("--objects", action="store_true", help="the default model's scenes too")
+    parser.add_argument("--semantics", type=Path, help="of the default model, for its scenes")
     parser.add_argument("--views", type=int, choices=(2, 4, 8), default=2)
     parser.add_argument("--scenes", type=int, default=100)
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
-    if given.table is None and given.teacher is None:
-        parser.error("give --table, --teacher, or both")
+    if given.table is None and given.teacher is None and given.semantics is None:
+        parser.error("give --table, --teacher or --semantics")
     rooms = read_rooms(given.rooms, given.views, held_out=given.fit, scenes=given.scenes)
-    encoders: dict[str, tuple[QueryEncoder, Answerer]] = {}
-    if given.table is not None:
-        words = TableTeacher(given.table)
-        by_table: Answerer = lambda room: by_words(room, words.table)  # noqa: E731
-        encoders["true words, true masks"] = QueryEncoder(words), by_table
-    if given.teacher is not None:
-        encoder = load_encoder(given.teacher)
-        by_photos: Answerer = lambda room: by_teacher(room, encoder.teacher)  # noqa: E731
-        encoders["teacher, true masks"] = encoder, by_photos
+    encoders = ways_to_answer(given)
     if given.fit:
         for name, (encoder, answerer) in encoders.items():
             calibration = fitted(rooms, answerer, encoder)

@@ -1,6 +1,6 @@
 """Rooms with known truth as candidates for questions: by true words, by a teacher, by a scene."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,14 +10,20 @@ from torch.nn import functional
 
 from instok3d.data.words import ObjectWords
 from instok3d.evaluation.queries import RoomQuestion, Thing, boxes_of, room_questions
+from instok3d.model.tokenizer import Tokenizer
+from instok3d.photos.pixel_map import fit_pixels
 from instok3d.rooms.dataset import RoomDataset
-from instok3d.scene.query import SceneQueries
+from instok3d.scene.from_tokens import bare_scene, with_objects
+from instok3d.scene.lifting import Lifting
+from instok3d.scene.reconstruct import cleaned_scene
+from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
-from instok3d.semantics.query.encoder import QueryEncoder
+from instok3d.scene.upright_boxes import upright_boxes
 from instok3d.semantics.query.ranking import Candidates
 from instok3d.semantics.targets import target_vectors
 from instok3d.semantics.teacher import Teacher
 from instok3d.semantics.text import TextTable
+from instok3d.types import Views
 
 MIN_PIXELS = 64
 """In all context views together: what shows less of itself is not asked for."""
@@ -58,46 +64,98 @@ def room_truth(rooms: RoomDataset, number: int, frames: Sequence[int]) -> RoomTr
     )  # fmt: skip
 
 
-def by_words(truth: RoomTruth, table: TextTable) -> Candidates:
+@dataclass(frozen=True)
+class RoomAnswers:
+    """Objects that may be answers, and what they show."""
+
+    candidates: Candidates
+    thing_of: tuple[int, ...]
+    """The thing that each object shows; -1 for none."""
+
+
+def by_words(truth: RoomTruth, table: TextTable) -> RoomAnswers:
     """The ceiling of texts and grammar: true words, true masks, true boxes."""
+    return _of_things(truth, word_vectors(truth, table))
+
+
+def word_vectors(truth: RoomTruth, table: TextTable) -> Float[Tensor, "thing channel"]:
+    """What a perfect teacher says of each thing; zeros of one without words."""
     words = {row: thing.words for row, thing in enumerate(truth.things)}
     vectors = target_vectors(words, table)
-    unknown = torch.zeros(table.rows.shape[1])
-    stacked = [vectors.get(row, unknown) for row in range(len(truth.things))]
-    return _candidates(truth, torch.stack(stacked) if stacked else torch.zeros(0, len(unknown)))
+    found = torch.zeros(len(truth.things), table.rows.shape[1])
+    for row, vector in vectors.items():
+        found[row] = vector
+    return found
 
 
-def by_teacher(truth: RoomTruth, teacher: Teacher) -> Candidates:
+def by_teacher(truth: RoomTruth, teacher: Teacher) -> RoomAnswers:
     """The ceiling of the grouping: a teacher's features, averaged over true masks; true boxes."""
-    features = functional.interpolate(
-        teacher.features(truth.images), truth.instances.shape[-2:], mode="bilinear"
-    )
+    return _of_things(truth, mask_vectors(truth.images, truth.instances, truth.ids, teacher))
+
+
+def mask_vectors(
+    images: Float[Tensor, "view 3 height width"],
+    ids: Int[Tensor, "view height width"],
+    wanted: Sequence[int],
+    teacher: Teacher,
+) -> Float[Tensor, "object channel"]:
+    """The mean direction of a teacher's features over each mask; zeros of an empty one."""
+    features = functional.interpolate(teacher.features(images), ids.shape[-2:], mode="bilinear")
     directions = functional.normalize(features, dim=1).movedim(1, -1)
-    vectors = [directions[truth.instances == number].mean(dim=0) for number in truth.ids]
-    channels = directions.shape[-1]
-    stacked = torch.stack(vectors) if vectors else torch.zeros(0, channels)
-    return _candidates(truth, functional.normalize(stacked, dim=1))
+    found = torch.zeros(len(wanted), directions.shape[-1])
+    for row, number in enumerate(wanted):
+        mask = ids == number
+        if mask.any():
+            found[row] = directions[mask].mean(dim=0)
+    return functional.normalize(found, dim=1)
 
 
-def _candidates(truth: RoomTruth, vectors: Float[Tensor, "thing channel"]) -> Candidates:
-    return Candidates(vectors, boxes_of(truth.things), (None,) * len(truth.things))
+def _of_things(truth: RoomTruth, vectors: Float[Tensor, "thing channel"]) -> RoomAnswers:
+    count = len(truth.things)
+    candidates = Candidates(vectors, boxes_of(truth.things), (None,) * count)
+    return RoomAnswers(candidates, tuple(range(count)))
+
+
+@torch.no_grad()
+def room_scene(truth: RoomTruth, tokenizer: Tokenizer, lifting: Lifting | None = None) -> Scene:
+    """The scene of a model that sees the bare context photos, with whole objects; not refined."""
+    views = Views(images=truth.images[None])
+    lift = None if lifting is None else lifting.of(tokenizer, views)
+    tokens = tokenizer(views, None, lift)
+    photos = (255 * truth.images).round().to(torch.uint8).permute(0, 2, 3, 1)
+    height, width = photos.shape[1:3]
+    names = [
+        SceneView(f"{index}.png", "0" * 64, fit_pixels(height, width, height, width))
+        for index in range(len(photos))
+    ]
+    bare = bare_scene(tokens, photos, names, provenance=Provenance("evaluation", "", "", seed=0))
+    if lifting is not None:
+        bare = lifting.with_semantics(bare, tokens)
+    return with_objects(cleaned_scene(bare))
 
 
 def by_scene(
-    truth: RoomTruth, scene: Scene, encoder: QueryEncoder
-) -> tuple[Candidates, tuple[int, ...]]:
-    """A reconstructed scene of the context views, and the thing that each of its objects shows.
+    truth: RoomTruth,
+    scene: Scene,
+    vectors: Callable[[Scene, tuple[int, ...]], Float[Tensor, "object channel"]],
+) -> RoomAnswers:
+    """The objects of a scene, by its own boxes.
 
-    An object shows the thing that has most of the pixels that it wins in the views; -1 for none.
+    An object shows the thing that has most of the pixels that it wins in the context views.
+
+    Args:
+        truth: Of the room.
+        scene: Of its context views.
+        vectors: Of its objects, given what they show.
     """
     ids = scene.render(ids=True).ids
     assert ids is not None
-    candidates = SceneQueries(scene, encoder).candidates()
     row_of = {number: row for row, number in enumerate(truth.ids)}
     things = []
     for item in scene.objects:
-        shown = truth.instances[ids == item.id]
-        values, counts = shown[shown > 0].unique(return_counts=True)
+        values, counts = truth.instances[ids == item.id].unique(return_counts=True)
         most = int(values[counts.argmax()]) if len(values) else 0
         things.append(row_of.get(most, -1))
-    return candidates, tuple(things)
+    boxes = upright_boxes(scene, scene.objects)
+    found = vectors(scene, tuple(things))
+    return RoomAnswers(Candidates(found, boxes, (None,) * len(things)), tuple(things))
