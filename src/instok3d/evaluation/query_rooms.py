@@ -18,6 +18,7 @@ from instok3d.scene.lifting import Lifting
 from instok3d.scene.reconstruct import cleaned_scene
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.scene import Scene
+from instok3d.scene.seen_colors import seen_color_shares
 from instok3d.scene.upright_boxes import upright_boxes
 from instok3d.semantics.query.ranking import Candidates
 from instok3d.semantics.targets import target_vectors
@@ -158,4 +159,5 @@ def by_scene(
         things.append(row_of.get(most, -1))
     boxes = upright_boxes(scene, scene.objects)
     found = vectors(scene, tuple(things))
-    return RoomAnswers(Candidates(found, boxes, (None,) * len(things)), tuple(things))
+    colors = seen_color_shares(scene, scene.objects)
+    return RoomAnswers(Candidates(found, boxes, (None,) * len(things), colors), tuple(things))

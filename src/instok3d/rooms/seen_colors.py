@@ -35,7 +35,16 @@ def seen_colors(
     images: UInt8[np.ndarray, "frame height width 3"],
     instances: Int[np.ndarray, "frame height width"],
 ) -> dict[int, str]:
-    """For each instance id above 0 that is seen, the name that most of its pixels have.
+    """For each instance id above 0 that is seen, the name that most of its pixels have."""
+    votes = color_votes(images, instances)
+    return {number: NAMES[int(each.argmax())] for number, each in votes.items()}
+
+
+def color_votes(
+    images: UInt8[np.ndarray, "frame height width 3"],
+    instances: Int[np.ndarray, "frame height width"],
+) -> dict[int, Int[np.ndarray, " name"]]:
+    """For each instance id above 0 that is seen, how many of its pixels have each of NAMES.
 
     All pictures are brightened alike, as eyes do: a white wall in a dim room is white, not grey.
     The colour of the light stays.
@@ -51,7 +60,7 @@ def seen_colors(
         minlength=(int(ids.max()) + 1) * len(NAMES),
     ).reshape(-1, len(NAMES))
     seen = np.flatnonzero(votes.any(axis=1))
-    return {int(number): NAMES[votes[number].argmax()] for number in seen if number > 0}
+    return {int(number): votes[number] for number in seen if number > 0}
 
 
 def lab(colors: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3"]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.scene.objects import USER, SceneObject, find_object
+from instok3d.scene.seen_colors import seen_color_shares
 from instok3d.scene.upright_boxes import upright_boxes
 from instok3d.semantics.query.encoder import QueryEncoder
 from instok3d.semantics.query.grammar import Description, understand
@@ -139,7 +140,7 @@ class SceneQueries:
         """The objects that are drawn, as questions look at them."""
         named = tuple(item.label if item.label_source == USER else None for item in self._objects)
         boxes = upright_boxes(self.scene, self._objects)
-        return Candidates(self._vectors, boxes, named)
+        return Candidates(self._vectors, boxes, named, seen_color_shares(self.scene, self._objects))
 
     @cached_property
     def _ranker(self) -> Ranker:

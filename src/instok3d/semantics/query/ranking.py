@@ -153,16 +153,21 @@ class Ranker:
         names: Sequence[str],
         seen: Float[Tensor, "object name"] | None,
     ) -> Float[Tensor, " object"]:
-        """How likely the values are, relative to the likeliest of their kind."""
-        odds = self._calibration.color_scale * (
-            self._candidates.vectors @ self._embed(names).T
-        )  # fmt: skip
-        if seen is not None:
-            odds = odds + seen.clamp_min(1e-6).log()
-        shares = odds.softmax(dim=1)
-        relative = shares / shares.amax(dim=1, keepdim=True)
-        chosen = relative[:, [names.index(value) for value in values]]
-        return chosen.log().mean(dim=1).exp()
+        """How likely each value is, against the likeliest other one of its kind.
+
+        What is seen decides where it is known: it follows edits, which embeddings do not.
+        """
+        if seen is None:
+            cosines = self._candidates.vectors @ self._embed(names).T
+            shares = (self._calibration.color_scale * cosines).softmax(dim=1)
+        else:
+            shares = seen.clamp_min(1e-6)
+        first, second = shares.topk(2, dim=1).values.unbind(dim=1)
+        places = [names.index(value) for value in values]
+        chosen = shares[:, places]
+        other = torch.where(chosen == first[:, None], second[:, None], first[:, None])
+        # Of several colours, "black and white", the geometric mean.
+        return (chosen / (chosen + other)).clamp_min(1e-6).log().mean(dim=1).exp()
 
     def _placed(self, found: Float[Tensor, " object"], place: Relation) -> Float[Tensor, " object"]:
         others = [self._described(other) for other in place.others]
