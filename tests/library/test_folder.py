@@ -218,6 +218,30 @@ def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_pat
     assert reached == len(allowed) - 1
 
 
+def test_killed_while_it_is_made_it_can_be_made(tmp_path: Path):
+    def anew() -> Path:
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        (tmp_path / "work").mkdir()
+        return tmp_path / "work"
+
+    for folder in every_kill(anew, lambda folder: FolderLibrary.create(folder / "lib")):
+        library = FolderLibrary.create(folder / "lib")
+        library.add("/room", made_entries(2))
+        assert held(folder / "lib") == {"/room": 2}
+
+
+def test_of_two_that_make_it_neither_loses_what_the_other_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    # The second one looked before the first one wrote.
+    filled(tmp_path / "lib")
+    exists = Path.exists
+    monkeypatch.setattr(Path, "exists", lambda path: path.name != "library.json" and exists(path))
+    FolderLibrary.create(tmp_path / "lib")
+    monkeypatch.undo()
+    assert len(held(tmp_path / "lib")) == 3
+
+
 @pytest.mark.parametrize("other", [Encoder("made-2", 6), Encoder("made-1", 7)])
 def test_another_encoder_is_refused(tmp_path: Path, other: Encoder):
     library = filled(tmp_path / "lib")

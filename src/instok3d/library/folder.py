@@ -65,12 +65,15 @@ class FolderLibrary:
             FileExistsError: There is something else.
         """
         if not (folder / NAME).exists():
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            if folder.is_dir():
+                remove_leftovers(folder)  # of one that was killed at this very point
+            if folder.exists() and not (folder.is_dir() and _is_free(folder)):
                 raise FileExistsError(
                     f"{folder} is there and is no library: give a new name, or an empty folder"
                 )
             folder.mkdir(parents=True, exist_ok=True)
-            write_manifest(folder, Manifest())
+            with suppress(FileExistsError):  # another writer was quicker
+                write_manifest(folder, Manifest(), new=True)
         return FolderLibrary(folder)
 
     @property
@@ -266,6 +269,12 @@ class FolderLibrary:
             ),
             self._present,
         )
+
+
+def _is_free(folder: Path) -> bool:
+    """Whether nothing is in a folder, but for what another writer is making there right now."""
+    names = {path.name for path in folder.iterdir() if not path.name.startswith(".instok3d-")}
+    return not names or NAME in names
 
 
 def _opened(folder: Path) -> tuple[Manifest, tuple[Shard, ...]]:

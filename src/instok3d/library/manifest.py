@@ -1,9 +1,10 @@
 """The manifest of a library: which shards count, and which of their scenes do not."""
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from instok3d.files import write_json
+from instok3d.files import replacing
 from instok3d.library.entries import Encoder
 from instok3d.reading import naming_damage, one_line, read_json, text, whole_number
 from instok3d.version import __version__
@@ -76,15 +77,23 @@ def _record(value: dict[str, object]) -> ShardRecord:
     return ShardRecord(name, whole_number(value["rows"]), text(value["sha256"]))
 
 
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Make a manifest count, at once and whole."""
-    write_json(
-        folder / NAME,
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "generator": f"instok3d {__version__}",
-            **asdict(manifest),
-            "removed": sorted(manifest.removed),
-        },
-    )
+def write_manifest(folder: Path, manifest: Manifest, *, new: bool = False) -> None:
+    """Make a manifest count, at once and whole.
+
+    Args:
+        folder: The library.
+        manifest: What it holds.
+        new: Leave one that is there as it is.
+
+    Raises:
+        FileExistsError: It is to be a new one, and there is one.
+    """
+    value = {
+        "format": FORMAT,
+        "version": VERSION,
+        "generator": f"instok3d {__version__}",
+        **asdict(manifest),
+        "removed": sorted(manifest.removed),
+    }
+    with replacing(folder / NAME, overwrite=not new) as part:
+        part.write_text(json.dumps(value, indent=1) + "\n")
