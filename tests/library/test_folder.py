@@ -190,6 +190,7 @@ def states() -> list[dict[str, int]]:
     return [first, second, third, {n: each for n, each in third.items() if n[-1] not in "56"}]
 
 
+@pytest.mark.slow
 def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_path: Path):
     library = FolderLibrary.create(tmp_path / "lib")
     for number in range(JOINED - 1):
