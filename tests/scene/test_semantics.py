@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import instok3d
+from instok3d.cli.info import describe, summary
 from instok3d.scene.edits.ownership import owners
 from instok3d.scene.scene import Scene
 from instok3d.scene.semantic_files import packed, unpacked
@@ -41,6 +42,16 @@ def test_the_papers_sizes_store_59392_numbers():
         torch.zeros(100, 1, 512), torch.zeros(1024, 8), torch.ones(1024, 1), torch.zeros(512, 8)
     )
     assert papers.num_scalars == 59_392
+
+
+def test_info_says_how_much_is_stored(scene: Scene):
+    # 4 groups x 2 shared features of 3 channels, 10 anchors with 2 residuals and 2 shares each.
+    line = "semantics: made-3, 64 numbers (4 groups x 2 x 3 + 10 anchors x 2 + 10 x 2)"
+    assert line in describe(scene).splitlines()
+    assert summary(scene)["semantics"] == {"made-3": 64}
+    bare = replace(scene, semantics={"made-3": made_semantics(scene, basis=1)})
+    assert "made-3, 32 numbers (4 groups x 3 + 10 anchors x 2)" in describe(bare)
+    assert "semantics:" not in describe(replace(scene, semantics={}))
 
 
 def test_numbers_are_those_that_the_file_holds():

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from instok3d.cli.progress import StageClock
     from instok3d.scene.record import RefinementRecord
     from instok3d.scene.scene import Scene
+    from instok3d.scene.semantics import SceneSemantics
 
 MOST_NEIGHBOURS = 3
 """Of an object that are printed, those with whom it shares most first."""
@@ -59,6 +60,7 @@ def summary(scene: "Scene") -> dict[str, Any]:
             for item in scene.objects
         ],
         "num_gaussians": len(scene.gaussians.means),
+        "semantics": {name: one.num_scalars for name, one in scene.semantics.items()},
         "units": scene.units,
         "frame": scene.frame,
         "vertical": asdict(scene.vertical),
@@ -86,6 +88,7 @@ def describe(scene: "Scene") -> str:
         *(refinement_line(each) for each in made.refinements),
         *clean_up_line(scene),
         *edited_line(scene),
+        *(semantics_line(name, one) for name, one in scene.semantics.items()),
         *(f"note: {line}" for line in scene.warnings),
     ]
     if scene.objects:
@@ -120,6 +123,18 @@ def clean_up_line(scene: "Scene") -> list[str]:
     if done is None:
         return []
     return [f"cleaned up: {done.joined} groups joined others, {done.moved} Gaussians moved"]
+
+
+def semantics_line(encoder: str, one: "SceneSemantics") -> str:
+    """How much is stored of the features of an encoder."""
+    groups, basis, features = one.shared.shape
+    anchors, residual = one.residuals.shape
+    each = f"{features}" if basis == 1 else f"{basis} x {features}"
+    mixed = f" + {anchors} x {basis}" if basis > 1 else ""
+    return (
+        f"semantics: {encoder}, {one.num_scalars} numbers ({groups} groups x {each} + {anchors} "
+        f"anchors x {residual}{mixed})"
+    )
 
 
 def edited_line(scene: "Scene") -> list[str]:
