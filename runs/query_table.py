@@ -1,18 +1,19 @@
 """How often questions about test rooms are answered right, by true words and by a teacher.
 
 python runs/query_table.py ROOMS --table TABLE [--teacher FILE] [--objects [--semantics FILE]]
-python runs/query_table.py ROOMS... --fit --teacher FILE [--write]
+python runs/query_table.py ROOMS... --fit (--objects --semantics FILE | --teacher FILE) [--write]
 
 The first form prints the table of docs/results.md: top 1 / top 3 of each kind of question. --fit
-takes the held-out rooms of training folders (`hold_out_last`), fits the calibration of the teacher
-on them, prints it, and with --write keeps it in the teacher's file. Thresholds and weights are
-chosen there alone, never on test rooms, and on no synonym.
+takes the held-out rooms of training folders (`hold_out_last`), fits a calibration on them, prints
+it, and with --write keeps it in the file of the semantics (on the objects of scenes) or of the
+teacher (on true masks). Thresholds and weights are chosen there alone, never on test rooms, and on
+no synonym.
 """
 
 import argparse
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -20,6 +21,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from instok3d.data.view_sampling import eight_view_protocol, two_view_protocol
+from instok3d.data.words import ObjectWords
 from instok3d.evaluation.queries import (
     Outcome,
     figures,
@@ -55,7 +57,6 @@ from instok3d.semantics.query.encoder import QueryEncoder
 from instok3d.semantics.query.grammar import understand
 from instok3d.semantics.query.ranking import (
     COLOR_NAMES,
-    Candidates,
     Ranker,
     class_probabilities,
     similarity,
@@ -127,10 +128,9 @@ def answers(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> list[Out
 
 def fitted(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> Calibration:
     """The calibration of an encoder by the truth of rooms."""
-    known = [(room, answerer(room).candidates) for room in rooms]
-    known = [(room, each) for room, each in known if len(room.things)]
-    vectors = torch.cat([each.vectors for _, each in known])
-    words = [thing.words for room, _ in known for thing in room.things]
+    known = [labelled(room, answerer(room)) for room in rooms]
+    vectors = torch.cat([each.vectors for each in known])
+    words = [each for room in known for each in room.words]
     # 1. Scales: the class and the colour of each thing by a softmax over cosines.
     truth = torch.tensor([PHRASES.index(each.label) for each in words])
     class_scale = fit_scale(vectors @ encoder.vocabulary.vectors.T, truth, largest=60.0)
@@ -152,15 +152,33 @@ def fitted(rooms: Rooms, answerer: Answerer, encoder: QueryEncoder) -> Calibrati
     return replace(first, threshold=passing_threshold(best), label_threshold=label_threshold)
 
 
+@dataclass(frozen=True)
+class Labelled:
+    """The objects of a room that show something, and what that is called."""
+
+    vectors: torch.Tensor
+    words: tuple[ObjectWords, ...]
+
+
+def labelled(room: RoomTruth, answered: RoomAnswers) -> Labelled:
+    """Embeddings of a room's objects with the words of what they show."""
+    shows = [
+        (row, room.things[thing].words) for row, thing in enumerate(answered.thing_of) if thing >= 0
+    ]
+    shows = [(row, words) for row, words in shows if words.label]
+    vectors = answered.candidates.vectors[[row for row, _ in shows]]
+    return Labelled(vectors, tuple(words for _, words in shows))
+
+
 def examples(
-    known: Sequence[tuple[RoomTruth, Candidates]], encoder: QueryEncoder, scales: Calibration
+    known: Sequence[Labelled], encoder: QueryEncoder, scales: Calibration
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Score and evidence of every thing for every class, and whether it is one."""
     values, meant = [], []
-    for room, candidates in known:
-        labels = [thing.words.label for thing in room.things]
+    for room in known:
+        labels = [each.label for each in room.words]
         for name, vector in zip(PHRASES, encoder.vocabulary.vectors, strict=True):
-            found = similarity(candidates.vectors, vector, encoder.vocabulary, scales)
+            found = similarity(room.vectors, vector, encoder.vocabulary, scales)
             # A table is neither right nor wrong where a side table is asked for.
             sure = torch.tensor([is_a(each, name) or not is_a(name, each) for each in labels])
             values.append(torch.stack([found.scores, found.evidence], dim=1)[sure])
@@ -264,13 +282,15 @@ def main() -> None:
     rooms = read_rooms(given.rooms, given.views, held_out=given.fit, scenes=given.scenes)
     encoders = ways_to_answer(given)
     if given.fit:
+        # A scene's own semantics are what is asked; a teacher alone has its features on masks.
+        kept = {"scene": given.semantics, "teacher, true masks": given.teacher}
         for name, (encoder, answerer) in encoders.items():
             calibration = fitted(rooms, answerer, encoder)
             print(name, json.dumps(calibration.to_json(), indent=1))
             found = answers(rooms, answerer, QueryEncoder(encoder.teacher, calibration))
             print(table({name: figures(found, calibration.threshold)}))
-            if given.write and given.teacher is not None and name.startswith("teacher"):
-                keep(calibration, given.teacher)
+            if given.write and name in kept:
+                keep(calibration, kept[name])
         return
     rows = {
         name: figures(answers(rooms, answerer, encoder), encoder.calibration.threshold)

@@ -26,25 +26,25 @@ LARGEST = 1e4
 class Calibration:
     """How similarities in the space of one encoder are to be read.
 
-    The defaults are round numbers for a text table, to begin with.
+    The defaults are those of the teacher of rooms after its first leg, rounded.
     """
 
-    class_scale: float = 40.0
+    class_scale: float = 28.0
     """Of cosines of objects to class phrases, before the softmax over classes."""
     text_scale: float = 20.0
     """Likewise of cosines of a text to class phrases."""
     color_scale: float = 40.0
     """Likewise of objects to colours and to materials."""
-    evidence_weight: float = 1.0
+    evidence_weight: float = 1.1
     """Of the logarithm of the probability that object and text are of one class, in the log-odds
     that the object is meant."""
-    score_weight: float = 5.0
+    score_weight: float = 3.5
     """Likewise of the cosine of object and text."""
-    bias: float = 0.0
-    threshold: float = 0.3
+    bias: float = -0.6
+    threshold: float = 0.03
     """Probability below which nothing is said to be there: TRUE_SHARE of the questions after what
     is there pass it."""
-    label_threshold: float = 0.3
+    label_threshold: float = 0.47
     """Probability of the nearest class below which an object is "unknown"."""
 
     def to_json(self) -> dict[str, float]:
