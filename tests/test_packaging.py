@@ -62,8 +62,8 @@ def wheel(sdist: Path) -> Path:
 def test_the_source_distribution_holds_what_a_build_needs_and_no_tests(sdist: Path):
     assert {path.name for path in sdist.iterdir()} == {
         "CHANGELOG.md", "CMakeLists.txt", "COMMIT", "CONTRIBUTING.md", "LICENSE", "NOTICE",
-        "PKG-INFO", "README.md", "SECURITY.md", "constraints-cpu.txt", "docs", "examples", "pyproject.toml",
-        "src",
+        "PKG-INFO", "README.md", "SECURITY.md", "constraints-cpu.txt", "docs", "examples",
+        "pyproject.toml", "src",
     }  # fmt: skip
     assert (sdist / "src/instok3d/render/native/module.cpp").is_file()
     assert not list(sdist.rglob("test_*"))
