@@ -1,20 +1,8 @@
 import os
-import signal
 from pathlib import Path
 
+from dying_work import work
 from instok3d.batch.pool import ProcessDiedError, run_jobs
-
-
-def work(job: tuple[int, Path]) -> tuple[int, int]:
-    """Number and process; 3 fails, 4 dies once, 5 dies always."""
-    number, folder = job
-    if number == 3:
-        raise ValueError("three is refused")
-    mark = folder / f"{number} began"
-    if number == 5 or (number == 4 and not mark.exists()):
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number, os.getpid()
 
 
 def test_in_one_process_errors_are_outcomes(tmp_path: Path):

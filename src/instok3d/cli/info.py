@@ -50,15 +50,11 @@ def show_made(
 
 def summary(scene: "Scene") -> dict[str, Any]:
     """The scene in plain values, for --json."""
-    from instok3d.scene.neighbours import as_values
+    from instok3d.scene.object_list import objects_document
 
-    neighbours = scene.neighbours()
     return {
         "views": [view.file for view in scene.views],
-        "objects": [
-            item.to_json(scene.vertical.up) | {"neighbours": as_values(neighbours[item.id])}
-            for item in scene.objects
-        ],
+        "objects": objects_document(scene, neighbours=scene.neighbours())["objects"],
         "num_gaussians": len(scene.gaussians.means),
         "semantics": {name: one.num_scalars for name, one in scene.semantics.items()},
         "units": scene.units,

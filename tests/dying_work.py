@@ -1,0 +1,17 @@
+"""Work for processes some of which die; they import it by its name."""
+
+import os
+import signal
+from pathlib import Path
+
+
+def work(job: tuple[int, Path]) -> tuple[int, int]:
+    """Number and process; 3 fails, 4 dies once, 5 dies always."""
+    number, folder = job
+    if number == 3:
+        raise ValueError("three is refused")
+    mark = folder / f"{number} began"
+    if number == 5 or (number == 4 and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number, os.getpid()
