@@ -12,7 +12,7 @@ from instok3d.cli import main
 from instok3d.model.files import load_model
 from instok3d.model.views.unseeded import without_patches
 from instok3d.scene import lifting
-from instok3d.scene.lifting import find_lifting, object_vectors
+from instok3d.scene.lifting import find_lifting
 from instok3d.semantics.classes import PHRASES
 from instok3d.semantics.files import save_semantics, tokenizer_digest
 from instok3d.semantics.model import SemanticModel
@@ -83,7 +83,7 @@ def test_scenes_come_with_semantics_and_are_the_same_scenes(folder: Path, tmp_pa
     assert [item.key for item in again.objects] == [item.key for item in scene.objects]
     answers = again.query("chair", encoder=load_encoder(folder / "semantics.safetensors"))
     assert answers is not None
-    vectors = object_vectors(again, "rooms-made")
+    vectors = again.semantics["rooms-made"].of_objects([item.id for item in again.objects])
     assert torch.allclose(vectors.norm(dim=1), torch.ones(len(again.objects)), atol=1e-5)
 
 
@@ -149,4 +149,5 @@ def test_nothing_is_known_of_a_group_without_features(folder: Path):
     scene = replace(made(folder, folder / "semantics.safetensors", refine=0))
     one = scene.semantics["rooms-made"]
     bare = replace(scene, semantics={"rooms-made": replace(one, shared=0 * one.shared)})
-    assert object_vectors(bare, "rooms-made").eq(0).all()
+    assert bare.semantics["rooms-made"].of_objects([1, 2]).eq(0).all()
+    assert bare.semantics["rooms-made"].of_objects([]).shape == (0, CHANNELS)

@@ -4,9 +4,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
-from torch.nn import functional
 
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.scene.labels import with_labels
@@ -51,16 +48,10 @@ class Lifting:
     def named(self, scene: Scene) -> Scene:
         """The scene with its objects named by what the encoder says of them."""
         name = self.encoder.teacher.name
-        vectors = object_vectors(scene, name)
+        ids = [item.id for item in scene.objects]
+        vectors = scene.semantics[name].of_objects(ids)
         labels = class_labels(vectors, self.encoder.vocabulary, self.encoder.calibration)
-        ids = (item.id for item in scene.objects)
         return with_labels(scene, dict(zip(ids, labels, strict=True)), name)
-
-
-def object_vectors(scene: Scene, encoder: str) -> Float[Tensor, "object channel"]:
-    """A unit vector for each object of a scene; zeros for one of which nothing is known."""
-    rows = torch.tensor([item.id - 1 for item in scene.objects], dtype=torch.long)
-    return functional.normalize(scene.semantics[encoder].of_groups()[rows], dim=1)
 
 
 def find_lifting(choice: str | Path, tokenizer: Tokenizer, *, default: bool) -> Lifting | None:

@@ -132,9 +132,7 @@ class SceneQueries:
         self.scene, self._encoder = scene, encoder
         # Objects that are hidden are not there for questions, as they are not in pictures.
         self._objects = tuple(item for item in scene.objects if not item.hidden)
-        rows = torch.tensor([item.id - 1 for item in self._objects], dtype=torch.long)
-        features = scene.semantics[name].of_groups()[rows]
-        self._vectors = functional.normalize(features.float(), dim=1)
+        self._vectors = scene.semantics[name].of_objects([item.id for item in self._objects])
 
     def candidates(self) -> Candidates:
         """The objects that are drawn, as questions look at them."""

@@ -1,13 +1,14 @@
 """Semantic tokens as a part of a scene: they follow its groups and anchors through every edit."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from instok3d.semantics.tokens import SemanticTokens
 from instok3d.types import Flow
@@ -47,6 +48,11 @@ class SceneSemantics(Flow):
     def of_groups(self) -> Float[Tensor, "group feature"]:
         """One feature for each group: the mean of its shared ones."""
         return self.shared.mean(dim=1)
+
+    def of_objects(self, ids: Sequence[int]) -> Float[Tensor, "object feature"]:
+        """A unit vector for each object; zeros for one of which nothing is known."""
+        rows = torch.tensor([number - 1 for number in ids], dtype=torch.long)
+        return functional.normalize(self.of_groups()[rows], dim=1)
 
 
 NO_SEMANTICS: Mapping[str, SceneSemantics] = MappingProxyType({})

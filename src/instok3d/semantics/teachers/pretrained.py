@@ -4,6 +4,7 @@ Their image processors in transformers need torchvision, so images are prepared 
 about as many pixels as the square the model was trained on, with their proportions kept.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,7 +33,7 @@ _CLIP_MEAN, _CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.2613
 _IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
-class _PretrainedTeacher:
+class _PretrainedTeacher(ABC):
     """What the teachers of transformers have in common."""
 
     KIND: str
@@ -95,11 +96,11 @@ class _PretrainedTeacher:
             lambda part: unit(self._dense(part)), images.to(self.device), IMAGES_AT_ONCE
         )
 
-    def _count_channels(self) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def _count_channels(self) -> int: ...
 
-    def _dense(self, images: Tensor) -> Tensor:
-        raise NotImplementedError
+    @abstractmethod
+    def _dense(self, images: Tensor) -> Tensor: ...
 
 
 class DinoTeacher(_PretrainedTeacher):
@@ -180,8 +181,8 @@ class _TextTeacher(_PretrainedTeacher):
                 raise too_long(text, len(found), self._longest)
         return unit(self._embedded([*texts]))
 
-    def _embedded(self, texts: list[str]) -> Tensor:
-        raise NotImplementedError
+    @abstractmethod
+    def _embedded(self, texts: list[str]) -> Tensor: ...
 
 
 class ClipTeacher(_TextTeacher):
