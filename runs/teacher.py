@@ -224,7 +224,7 @@ def train(given: argparse.Namespace) -> None:
     torch.set_num_threads(given.threads)
     torch.manual_seed(given.seed)
     given.output.mkdir(parents=True, exist_ok=True)
-    table = load_table(given.table).of_letters()
+    table = load_table(given.table)
     frames = Frames(given.rooms, table)
     chooser = Chooser(frames)
     phrases, colors = table.embed(PHRASES), table.embed(COLORS)

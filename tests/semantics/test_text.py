@@ -62,12 +62,3 @@ def test_damaged_and_other_files_are_named(table: TextTable, tmp_path: Path):
             said.append(str(error))
     assert len(said) > 30
     assert all(words.startswith((str(path), "no word of")) for words in said)
-
-
-def test_a_table_of_letters_alone_says_the_same_of_words(table: TextTable):
-    more = quantized(torch.ones(9, 3), (*PIECES, "[unused1]", "7", "é"), "made up")
-    more.rows[:6], more.scales[:6] = table.rows, table.scales
-    letters = more.of_letters()
-    assert letters.vocabulary == PIECES
-    assert letters.embed(["red armchair"]).equal(more.embed(["red armchair"]))
-    assert table.of_letters().rows.equal(table.rows)

@@ -36,3 +36,22 @@ def test_words_as_berts_uncased_models_have_them(text: str, words: list[str]):
 )
 def test_a_word_is_cut_into_the_longest_known_pieces(text: str, found: list[str]):
     assert [WORDS[each] for each in pieces(text, VOCABULARY)] == found
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("red chest of drawers", ["red", "chest of drawers"]),
+        ("Chest  of\tdrawers red", ["chest of drawers", "red"]),
+        ("chest of", ["chest", "of"]),
+        ("coffee table", ["coffee table"]),
+        ("coffee-table", ["coffee", "-", "table"]),
+        ("coffee tables", ["coffee", "table", "##s"]),
+        ("chest of coffee table", ["chest", "of", "coffee table"]),
+    ],
+)
+def test_the_longest_known_name_goes_before_its_words(text: str, found: list[str]):
+    names = ["[UNK]", "red", "chest", "of", "drawers", "chest of drawers", "coffee", "table",
+             "coffee table", "of drawers", "##s", "-"]  # fmt: skip
+    vocabulary = {name: number for number, name in enumerate(names)}
+    assert [names[each] for each in pieces(text, vocabulary)] == found

@@ -1,10 +1,10 @@
-"""Text as vectors, without a network: a table with one vector for each piece of a word.
+"""Text as vectors, without a network: a table with one vector for each word, or piece of one.
 
 The table is distilled from a language model (runs/text_table.py): a text is the mean of its
-pieces, frequent ones counting less, which is enough for names of things and their colours.
+pieces, frequent ones counting less, which is enough for names of things and their colours. Names
+of household things that are more than one piece have a vector of their own.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,7 +29,7 @@ class TextTable:
     """Vectors of the pieces of words. A text's vector has unit length."""
 
     vocabulary: tuple[str, ...]
-    """The piece of each row; those within a word begin with ##."""
+    """The piece of each row; ## begins those within a word, a space parts the words of a name."""
     rows: Int8[Tensor, "piece channel"]
     scales: Float[Tensor, " piece"]
     """What each row is multiplied by; the weight of a piece in a text is in its length."""
@@ -55,16 +55,6 @@ class TextTable:
             found.append((self.rows[known].float() * self.scales[known, None]).mean(dim=0))
         empty = torch.zeros(0, self.rows.shape[1])
         return functional.normalize(torch.stack(found), dim=1) if found else empty
-
-    def of_letters(self) -> "TextTable":
-        """The table with pieces of the letters a to z alone, and the unknown one: 13 % less."""
-        kept = [
-            number
-            for number, piece in enumerate(self.vocabulary)
-            if piece == UNKNOWN or re.fullmatch("(##)?[a-z]+", piece)
-        ]
-        vocabulary = tuple(self.vocabulary[number] for number in kept)
-        return TextTable(vocabulary, self.rows[kept], self.scales[kept], self.source)
 
 
 def quantized(

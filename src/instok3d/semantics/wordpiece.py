@@ -6,6 +6,8 @@ from collections.abc import Mapping
 UNKNOWN = "[UNK]"
 LONGEST_WORD = 100
 """Characters; what is longer is unknown."""
+LONGEST_PHRASE = 3
+"""Words that one entry of a vocabulary may have."""
 _CJK = ((0x4E00, 0x9FFF), (0x3400, 0x4DBF), (0x20000, 0x2CEAF), (0xF900, 0xFAFF))
 
 
@@ -26,15 +28,26 @@ def basic_words(text: str) -> list[str]:
 
 
 def pieces(text: str, vocabulary: Mapping[str, int]) -> list[int]:
-    """Token ids of a text; each word is cut into the longest pieces that are known.
+    """Token ids of a text: the longest phrases that are known, other words in pieces.
+
+    Each word outside a phrase is cut into the longest pieces that are known.
 
     Args:
         text: Any; without a word there is no piece.
-        vocabulary: Id of each piece; those within a word begin with ##.
+        vocabulary: Id of each piece, those within a word begin with ##; and of each phrase, words
+            with a space between.
     """
-    found = []
-    for word in basic_words(text):
-        found += _pieces_of(word, vocabulary)
+    words, found, start = basic_words(text), [], 0
+    while start < len(words):
+        for end in range(min(len(words), start + LONGEST_PHRASE), start + 1, -1):
+            phrase = " ".join(words[start:end])
+            if phrase in vocabulary:
+                found.append(vocabulary[phrase])
+                break
+        else:
+            end = start + 1
+            found += _pieces_of(words[start], vocabulary)
+        start = end
     return found
 
 
