@@ -3,7 +3,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from instok3d.refinement.assignment import reassigned, weights_by_group
+from instok3d.refinement.assignment import (
+    reassigned,
+    weights_by_group,
+    weights_by_region,
+    winning_columns,
+)
 from instok3d.render import render
 from instok3d.types import Cameras, Gaussians
 
@@ -84,6 +89,29 @@ def test_weights_add_up_over_the_views(camera: Cameras):
     once = weights_by_group(gaussians, ASSIGNMENT, camera, **VIEW)
     twice = weights_by_group(gaussians, ASSIGNMENT, both, **VIEW)
     torch.testing.assert_close(twice, 2 * once)
+
+
+def test_weights_of_joined_regions_are_the_sums_of_those_of_their_groups(camera: Cameras):
+    generator = torch.Generator().manual_seed(3)
+    places = torch.rand(60, 3, generator=generator) * torch.tensor([1.6, 1.6, 1]) + torch.tensor(
+        [-0.8, -0.8, 2]
+    )
+    gaussians = blobs(places.tolist(), [index % 6 for index in range(60)], [0.1] * 60)
+    assignment = torch.rand(6, 6, generator=generator)
+    each = weights_by_group(gaussians, assignment, camera, **VIEW)
+    winners = winning_columns(gaussians, assignment, camera, **VIEW)
+    assert len(winners.unique()) > 3
+    chosen = [int(winners.unique()[0]), int(winners.unique()[2])]
+    within = torch.isin(winners, torch.tensor(chosen)).long()
+    joined = weights_by_region(gaussians, within, 2, camera, near=0.05, far=100.0)
+    torch.testing.assert_close(joined[:, 1], each[:, chosen].sum(1))
+    torch.testing.assert_close(joined.sum(1), each.sum(1))
+    none = gaussians.rows(slice(0, 0))
+    assert weights_by_region(none, within, 2, camera, near=0.05, far=100.0).shape == (0, 2)
+    no_views = camera.views([])
+    unseen = weights_by_region(gaussians, within[:0], 2, no_views, near=0.05, far=100.0)
+    assert unseen.shape == (60, 2)
+    assert not unseen.any()
 
 
 def test_one_that_shows_less_than_half_a_pixel_stays(camera: Cameras):

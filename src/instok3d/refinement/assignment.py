@@ -81,34 +81,74 @@ def weights_by_group(
     far: float,
     winners: Int[Tensor, "view height width"] | None = None,
 ) -> Float[Tensor, "gaussian column"]:
-    """Visible weight of each Gaussian in the pixels that each group wins, over all views.
+    """Visible weight of each Gaussian in the pixels that each group wins, over all views."""
+    if winners is None:
+        winners = winning_columns(gaussians, assignment, cameras, height, width, near=near, far=far)
+    return weights_by_region(gaussians, winners, assignment.shape[1], cameras, near=near, far=far)
+
+
+@torch.no_grad()
+def winning_columns(
+    gaussians: Gaussians,
+    assignment: Float[Tensor, "anchor column"],
+    cameras: Cameras,
+    height: int,
+    width: int,
+    *,
+    near: float,
+    far: float,
+) -> Int[Tensor, "view height width"]:
+    """The column of the assignment whose composited map is the largest at each pixel."""
+    winners = torch.zeros(
+        len(cameras.intrinsics), height, width, dtype=torch.long, device=assignment.device
+    )
+    for view in range(len(winners)):
+        maps = render(
+            gaussians, cameras.view(view), height, width,
+            anchor_features=assignment, near=near, far=far,
+        ).features  # fmt: skip
+        assert maps is not None
+        winners[view] = maps[0].argmax(dim=0)
+    return winners
+
+
+def weights_by_region(
+    gaussians: Gaussians,
+    regions: Int[Tensor, "view height width"],
+    num_regions: int,
+    cameras: Cameras,
+    *,
+    near: float,
+    far: float,
+) -> Float[Tensor, "gaussian region"]:
+    """Visible weight of each Gaussian in the pixels of each region, over all views.
 
     A composited map is linear in the features of the Gaussians. Its gradient with respect to
-    them, for maps that are compared with the winners, is therefore the weight that is asked for.
+    them, for maps that are compared with the regions, is therefore the weight that is asked for.
+
+    Args:
+        gaussians: One scene.
+        regions: Of each pixel of each view, from 0.
+        num_regions: How many there are. Time grows with those that a view has pixels of.
+        cameras: Of the views, unbatched.
+        near: Gaussians nearer than this z-depth are not drawn, scene units.
+        far: Nor are those farther than this.
     """
     fixed = gaussians.map(Tensor.detach)
     alone = replace(fixed, anchor_index=torch.arange(len(fixed.means), device=fixed.means.device))
-    weights = torch.zeros(len(fixed.means), assignment.shape[1], device=fixed.means.device)
-    for view in range(len(cameras.intrinsics)):
-        camera = cameras.view(view)
-        if winners is None:
-            with torch.no_grad():
-                maps = render(
-                    fixed, camera, height, width, anchor_features=assignment, near=near, far=far
-                ).features
-            assert maps is not None
-            here = maps[0].argmax(dim=0)
-        else:
-            here = winners[view]
-        won, column = here.unique(return_inverse=True)
-        # Columns of the groups that win a pixel alone: a tenth of all, and the others stay 0.
-        features = weights.new_zeros(len(weights), len(won), requires_grad=True)
+    weights = torch.zeros(len(fixed.means), num_regions, device=fixed.means.device)
+    height, width = regions.shape[1:]
+    for view in range(len(regions)):
+        # Columns of the regions that have pixels alone: a tenth of all, and the others stay 0.
+        there, column = regions[view].unique(return_inverse=True)
+        features = weights.new_zeros(len(weights), len(there), requires_grad=True)
         with torch.enable_grad():
             own = render(
-                alone, camera, height, width, anchor_features=features, near=near, far=far
-            ).features
+                alone, cameras.view(view), height, width,
+                anchor_features=features, near=near, far=far,
+            ).features  # fmt: skip
             assert own is not None
             own[0].gather(0, column[None]).sum().backward()
         assert features.grad is not None
-        weights[:, won] += features.grad
+        weights[:, there] += features.grad
     return weights

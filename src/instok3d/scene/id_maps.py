@@ -1,13 +1,13 @@
 """Which group a pixel shows: the group or void whose composited map is the largest there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.render import render
-from instok3d.types import Cameras, Gaussians
+from instok3d.types import Cameras, Gaussians, Rendering
 
 COLUMNS = 512
 """Maps that are composited at a time: those of an imported scene with thousands of groups could
@@ -22,6 +22,8 @@ class GroupMaps:
     """Index of the winning group; the number of groups where the void wins."""
     scores: Float[Tensor, "height width"]
     """The winner's composited map, in [0, 1]."""
+    picture: Rendering
+    """What the view shows, without the maps."""
 
 
 def group_maps(
@@ -50,14 +52,14 @@ def group_maps(
         near: Gaussians nearer than this z-depth are not drawn, scene units.
         far: Nor are those farther than this.
     """
-    winners = scores = None
+    winners = scores = picture = None
     for first in range(0, assignment.shape[1], COLUMNS):
         columns = assignment[:, first : first + COLUMNS]
         rendering = render(
             gaussians, camera, height, width, anchor_features=columns, near=near, far=far
         )
         assert rendering.features is not None
-        maps = rendering.features[0]
+        maps, picture = rendering.features[0], replace(rendering, features=None)
         if first + COLUMNS >= assignment.shape[1]:
             maps = torch.cat([maps[:-1], maps[-1:] + (1 - rendering.alphas)])
         best, groups = maps.max(dim=0)
@@ -68,4 +70,5 @@ def group_maps(
             scores = torch.maximum(best, scores)
     assert winners is not None
     assert scores is not None
-    return GroupMaps(winners, scores.clamp(0, 1))
+    assert picture is not None
+    return GroupMaps(winners, scores.clamp(0, 1), picture)

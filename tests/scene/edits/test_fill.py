@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 import instok3d
 from corner_scene import BALL, FLOOR, TABLE, WALL, corner_scene
@@ -51,6 +52,23 @@ def test_what_is_invented_belongs_to_the_surface_that_it_extends(corner: Scene, 
     assert float((ids == truth)[before == BALL].float().mean()) > 0.9
     for item in filled.objects:
         assert item.num_gaussians > corner.object(item.id).num_gaussians
+
+
+@pytest.mark.filterwarnings("ignore:no flat surface")
+def test_the_log_of_a_fill_has_the_hole_of_the_removal_alone(corner: Scene):
+    """The fill finds the hole from its own pictures, which have maps too."""
+    for scene, is_seen in ((corner, True), (corner.hide(WALL), True), (corner.hide(BALL), False)):
+        alone, filled = (removal(scene.remove(BALL, claim=True, fill=f)) for f in (None, "plane"))
+        assert alone.hole == filled.hole
+        assert torch.equal(alone.claimed, filled.claimed)
+        assert any(each.mask().any() for each in alone.hole or ()) == is_seen
+
+
+def removal(scene: Scene) -> Remove:
+    assert scene.history is not None
+    edit = scene.history.edits[-1]
+    assert isinstance(edit, Remove)
+    return edit
 
 
 def test_a_table_top_does_not_grow_into_the_hole_before_it():

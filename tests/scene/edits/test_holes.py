@@ -13,7 +13,7 @@ import instok3d
 from edited_scenes import assert_bit_equal
 from imported_scene import imported_scene
 from instok3d.cli import main
-from instok3d.scene.edits.holes import is_open
+from instok3d.scene.edits.holes import alphas_of
 from instok3d.scene.edits.operations import Remove
 from instok3d.scene.paths import orbit
 from instok3d.scene.scene import Scene
@@ -117,5 +117,5 @@ def test_without_views_cameras_must_be_given():
 
 def test_nothing_at_all_is_open(bare: Scene):
     nothing = bare.gaussians.rows(slice(0, 0))
-    assert is_open(nothing, bare.near_far, bare.cameras, 4, 5).all()
-    assert is_open(nothing, bare.near_far, bare.cameras.views([]), 4, 5).shape == (0, 4, 5)
+    assert not alphas_of(nothing, bare.near_far, bare.cameras, 4, 5).any()
+    assert alphas_of(nothing, bare.near_far, bare.cameras.views([]), 4, 5).shape == (0, 4, 5)

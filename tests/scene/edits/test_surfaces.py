@@ -4,8 +4,10 @@ import pytest
 import torch
 
 from corner_scene import BALL, FLOOR, HEIGHT, WALL, WIDTH, corner_scene
-from instok3d.scene.edits.surfaces import find_planes, look_at
+from instok3d.render import render
+from instok3d.scene.edits.surfaces import Look, find_planes, look_at
 from instok3d.scene.scene import Scene
+from instok3d.types import Gaussians
 
 
 @pytest.fixture(scope="module")
@@ -13,8 +15,15 @@ def corner() -> Scene:
     return corner_scene(hidden=True).remove(BALL)
 
 
+def seen(scene: Scene, gaussians: Gaussians, size: tuple[int, int] = (HEIGHT, WIDTH)) -> Look:
+    """What the scene's input views show of Gaussians."""
+    cameras = scene.cameras
+    views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
+    return look_at([render(gaussians, view, *size) for view in views], cameras)
+
+
 def test_floor_and_wall_are_found_where_they_are(corner: Scene):
-    look = look_at(corner.gaussians, corner.near_far, corner.cameras, HEIGHT, WIDTH)
+    look = seen(corner, corner.gaussians)
     ids = corner.render(ids=True).ids
     assert ids is not None
     # The floor is y = 1 with up -y, the wall z = 5 and faces the cameras.
@@ -34,7 +43,7 @@ def test_floor_and_wall_are_found_where_they_are(corner: Scene):
 def test_nothing_and_small_pictures_hold_no_plane(corner: Scene):
     everywhere = torch.ones(2, HEIGHT, WIDTH)
     nothing = corner.gaussians.rows(slice(0, 0))
-    look = look_at(nothing, corner.near_far, corner.cameras, HEIGHT, WIDTH)
+    look = seen(corner, nothing)
     assert find_planes(nothing, look, everywhere) == []
-    look = look_at(corner.gaussians, corner.near_far, corner.cameras, 3, 4)
+    look = seen(corner, corner.gaussians, (3, 4))
     assert find_planes(corner.gaussians, look, torch.ones(2, 3, 4)) == []

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from instok3d.refinement.assignment import weights_by_group
+from instok3d.refinement.assignment import weights_by_region, winning_columns
 from instok3d.scene.edits.ownership import row_ids
 from instok3d.scene.record import SceneRecord
 
@@ -29,13 +29,14 @@ def claimed_rows(scene: SceneRecord, ids: tuple[int, ...]) -> Int[Tensor, " row"
     if not scene.views or not len(scene.gaussians.means):
         return torch.zeros(0, dtype=torch.long)
     near, far = scene.near_far
-    weights = weights_by_group(
+    winners = winning_columns(
         scene.gaussians, scene.tokens.assignment, scene.cameras, scene.height, scene.width,
         near=near, far=far,
     )  # fmt: skip
+    within = torch.isin(winners, torch.tensor(ids) - 1).long()
+    weights = weights_by_region(scene.gaussians, within, 2, scene.cameras, near=near, far=far)
+    total, inside = weights.sum(dim=1), weights[:, 1]
     own = torch.isin(row_ids(scene), torch.tensor(ids))
-    total = weights.sum(dim=1)
-    inside = weights[:, [number - 1 for number in ids]].sum(dim=1)
     beside = torch.zeros_like(own)
     for item in scene.objects:
         if item.id in ids:

@@ -104,12 +104,15 @@ class EditableScene(SceneRecord):
         claimed = claimed_rows(self, ids) if claim else torch.zeros(0, dtype=torch.long)
         removal = Remove(ids, claimed)
         dropped = removal.dropped_rows(self)
-        hole = tuple(map(RunLengths.of, holes_after(self, dropped)))
-        invented = None if fill is None else plane_fill(self, dropped, removal.apply(self))
+        if fill is None:
+            invented, hole = None, holes_after(self, dropped)
+        else:
+            invented, hole = plane_fill(self, dropped, removal.apply(self))
         if invented is not None and not len(invented.means):
             warnings.warn("no flat surface is seen around the hole: nothing fills it", stacklevel=2)
             invented = None
-        return self._edited(replace(removal, hole=hole, invented=invented))
+        masks = tuple(map(RunLengths.of, hole))
+        return self._edited(replace(removal, hole=masks, invented=invented))
 
     def move(
         self: AnyScene,

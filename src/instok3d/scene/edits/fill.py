@@ -9,7 +9,8 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid, pixel_rays, transform_points
 from instok3d.geometry.rotations import matrix_to_quat
 from instok3d.geometry.spherical_harmonics import SH_CONSTANT
-from instok3d.scene.edits.holes import shown_share
+from instok3d.render import render
+from instok3d.scene.edits.holes import hole_of, shown_share
 from instok3d.scene.edits.ownership import drawn_rows, row_ids
 from instok3d.scene.edits.surfaces import TOLERANCE, Look, Plane, find_planes, look_at, pixels_of
 from instok3d.scene.edits.texture import continued
@@ -45,7 +46,7 @@ OPACITY = 0.95
 @torch.no_grad()
 def plane_fill(
     before: SceneRecord, dropped: Bool[Tensor, " gaussian"], after: SceneRecord
-) -> Gaussians:
+) -> tuple[Gaussians, Bool[Tensor, "view height width"]]:
     """Gaussians that extend the planes at the rim of a hole into it.
 
     1. The hole in each input view: pixels that showed what is removed and are not covered now.
@@ -63,31 +64,31 @@ def plane_fill(
 
     Returns:
         Gaussians of constant colour; anchor_index names anchors of the scene after, of the group
-        that most of the plane at the rim belongs to.
+        that most of the plane at the rim belongs to. And the hole in each input view that they are
+        for, as `holes.holes_after` finds it.
     """
     size = before.height, before.width
     shown = shown_share(before, dropped, before.cameras, *size)
     drawn = drawn_rows(after)
     left = after.gaussians.rows(drawn)
-    look = look_at(left, after.near_far, after.cameras, *size)
+    look, groups = _seen(after, left)
+    logged = hole_of(shown, look.alphas)
     hole = (shown > SHOWN) & (look.alphas < 1 - CLEAR)
     if not hole.any():
-        return _none(after)
+        return _none(after), logged
     rim = nearness(hole, max(2, round(RIM * max(size)))) * ~(shown > SHOWN)
-    removed = look_at(before.gaussians.rows(dropped), before.near_far, before.cameras, *size)
-    groups = winning_groups(after, left, look)
     found = find_planes(left, look, rim)
     planes = [_without_things(each, groups, look.solid) for each in found]
     planes = [each for each in planes if _at_rim(each, look, rim)]
     # Where the rim shows nothing but things, as that of a piece of a table, they are extended.
     planes = planes or [each for each in found if _at_rim(each, look, rim)]
-    which, points = _chosen_planes(look, removed, hole, planes)
+    which, points = _chosen_planes(look, _fronts(before, dropped), hole, planes)
     made = [_none(after)]
     for number, plane in enumerate(planes):
         wanted = which == number
         if wanted.any():
             made.append(_patch(after, look, plane, wanted, points, rim))
-    return Gaussians.concatenate(made)
+    return Gaussians.concatenate(made), logged
 
 
 def nearness(
@@ -106,20 +107,31 @@ def _at_rim(plane: Plane, look: Look, rim: Float[Tensor, "view height width"]) -
     return float(share) >= MIN_RIM_SHARE
 
 
-def winning_groups(
-    scene: SceneRecord, drawn: Gaussians, look: Look
-) -> Int[Tensor, "view height width"]:
-    """The group that each pixel shows most of, the void included."""
+def _seen(scene: SceneRecord, drawn: Gaussians) -> tuple[Look, Int[Tensor, "view height width"]]:
+    """What the input views show, and the group that each pixel shows most of, the void included."""
     near, far = scene.near_far
-    height, width = look.alphas.shape[1:]
-    groups = [
+    maps = [
         group_maps(
-            drawn, scene.tokens.assignment, look.cameras.view(view), height, width,
+            drawn, scene.tokens.assignment, scene.cameras.view(view), scene.height, scene.width,
             near=near, far=far,
-        ).groups
-        for view in range(len(look.alphas))
+        )
+        for view in range(len(scene.cameras.intrinsics))
     ]  # fmt: skip
-    return torch.stack(groups)
+    look = look_at([each.picture for each in maps], scene.cameras)
+    return look, torch.stack([each.groups for each in maps])
+
+
+def _fronts(
+    scene: SceneRecord, chosen: Bool[Tensor, " gaussian"]
+) -> Float[Tensor, "view height width"]:
+    """Depth of the surface of some Gaussians alone in the input views, 0 where there is none."""
+    near, far = scene.near_far
+    alone, fronts = scene.gaussians.rows(chosen), []
+    for view in range(len(scene.cameras.intrinsics)):
+        camera = scene.cameras.view(view)
+        picture = render(alone, camera, scene.height, scene.width, near=near, far=far)
+        fronts.append(torch.where(picture.alphas[0] > 0.05, picture.depths[0], 0))
+    return torch.stack(fronts)
 
 
 def _without_things(
@@ -135,20 +147,22 @@ def _without_things(
 
 
 def _chosen_planes(
-    look: Look, removed: Look, hole: Bool[Tensor, "view height width"], planes: list[Plane]
+    look: Look,
+    fronts: Float[Tensor, "view height width"],
+    hole: Bool[Tensor, "view height width"],
+    planes: list[Plane],
 ) -> tuple[Int[Tensor, "view height width"], Float[Tensor, "view height width 3"]]:
     """The plane of each pixel of the hole, -1 for none, and the point on it, in the world."""
     _, height, width = hole.shape
     world_from_cam = invert_rigid(look.cameras.cam_from_world)
     centers = world_from_cam[:, None, None, :3, 3]
     rays = pixel_rays(look.cameras.intrinsics, height, width) @ world_from_cam[:, None, :3, :3].mT
-    front = torch.where(removed.alphas > 0.05, removed.depths, 0)
     limit = FARTHEST * look.depths.amax()
     nearest = torch.full(hole.shape, torch.inf)
     which = torch.full(hole.shape, -1)
     for number, plane in enumerate(planes):
         depths = (plane.offset - centers @ plane.normal) / (rays @ plane.normal)
-        behind = (depths > 0) & (depths >= (1 - BEHIND) * front) & (depths < limit)
+        behind = (depths > 0) & (depths >= (1 - BEHIND) * fronts) & (depths < limit)
         fits = hole & behind & (depths < nearest)
         if not plane.bounds_room:
             reach = centers + depths.nan_to_num(0, 0, 0)[..., None] * rays

@@ -36,17 +36,18 @@ def holes_left(
         height: Of the pictures, pixels.
         width: Likewise.
     """
-    shown = torch.zeros(len(cameras.intrinsics), height, width, dtype=torch.bool)
+    shown = torch.zeros(len(cameras.intrinsics), height, width)
     before = history.source
     for edit in history.edits:
         if isinstance(edit, Remove):
-            dropped = edit.dropped_rows(before) & drawn_rows(before)
-            shown |= shown_share(before, dropped, cameras, height, width) > SHOWN
+            dropped = edit.dropped_rows(before)
+            here = shown_share(before, dropped, cameras, height, width)
+            shown = torch.maximum(shown, here)
         before = edit.apply(before)
     if not shown.any():
-        return shown
+        return shown > SHOWN
     left = now.gaussians.rows(drawn_rows(now))
-    return shown & is_open(left, now.near_far, cameras, height, width)
+    return hole_of(shown, alphas_of(left, now.near_far, cameras, height, width))
 
 
 @torch.no_grad()
@@ -60,9 +61,16 @@ def holes_after(
         dropped: The Gaussians that will go.
     """
     drawn, size = drawn_rows(before), (before.height, before.width)
-    shown = shown_share(before, dropped & drawn, before.cameras, *size) > SHOWN
+    shown = shown_share(before, dropped, before.cameras, *size)
     left = before.gaussians.rows(drawn & ~dropped)
-    return shown & is_open(left, before.near_far, before.cameras, *size)
+    return hole_of(shown, alphas_of(left, before.near_far, before.cameras, *size))
+
+
+def hole_of(
+    shown: Float[Tensor, "view height width"], alphas: Float[Tensor, "view height width"]
+) -> Bool[Tensor, "view height width"]:
+    """The hole, by the share that what is removed has and the alpha of what is left."""
+    return (shown > SHOWN) & (1 - alphas > TRANSMITTANCE)
 
 
 def shown_share(
@@ -87,18 +95,17 @@ def shown_share(
     return share
 
 
-def is_open(
+def alphas_of(
     gaussians: Gaussians,
     near_far: tuple[float, float],
     cameras: Cameras,
     height: int,
     width: int,
-) -> Bool[Tensor, "view height width"]:
-    """Where one looks through all of the Gaussians."""
+) -> Float[Tensor, "view height width"]:
+    """How much of each pixel Gaussians cover."""
     near, far = near_far
-    views = [
-        render(gaussians, cameras.view(view), height, width, near=near, far=far).alphas[0]
-        for view in range(len(cameras.intrinsics))
-    ]
-    clear = [1 - alphas > TRANSMITTANCE for alphas in views]
-    return torch.stack(clear) if clear else torch.zeros(0, height, width, dtype=torch.bool)
+    alphas = torch.zeros(len(cameras.intrinsics), height, width)
+    for view in range(len(alphas)):
+        picture = render(gaussians, cameras.view(view), height, width, near=near, far=far)
+        alphas[view] = picture.alphas[0]
+    return alphas

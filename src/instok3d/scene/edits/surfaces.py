@@ -1,5 +1,6 @@
 """Planes among what views of a scene show: floors, walls, table tops."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -7,8 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from instok3d.geometry.cameras import invert_rigid, project, transform_points, unproject
-from instok3d.render import render
-from instok3d.types import Cameras, Gaussians
+from instok3d.types import Cameras, Gaussians, Rendering
 
 SOLID = 0.8
 """Alpha from which on a pixel's depth is that of a surface."""
@@ -68,17 +68,11 @@ class Plane:
 
 
 @torch.no_grad()
-def look_at(
-    gaussians: Gaussians, near_far: tuple[float, float], cameras: Cameras, height: int, width: int
-) -> Look:
-    """What views show of Gaussians."""
-    near, far = near_far
-    seen = [
-        render(gaussians, cameras.view(view), height, width, near=near, far=far)
-        for view in range(len(cameras.intrinsics))
-    ]
+def look_at(pictures: Sequence[Rendering], cameras: Cameras) -> Look:
+    """What views show of a scene, by a picture of each."""
     colors, alphas, depths = (
-        torch.cat([vars(each)[name] for each in seen]) for name in ("colors", "alphas", "depths")
+        torch.cat([vars(each)[name] for each in pictures])
+        for name in ("colors", "alphas", "depths")
     )
     world_from_cam = invert_rigid(cameras.cam_from_world)
     local = unproject(depths, cameras.intrinsics)
