@@ -25,6 +25,8 @@ from instok3d.semantics.tokens import pixel_features, render_semantics
 from instok3d.types import Cameras, Gaussians, Rendering
 
 if TYPE_CHECKING:
+    from instok3d.scene.description import Description
+    from instok3d.scene.object_list import Scale
     from instok3d.scene.query import Answers
     from instok3d.semantics.query.encoder import QueryEncoder
     from instok3d.viewer.app import Viewer
@@ -119,6 +121,22 @@ class Scene(EditableScene):
             return queries.picture(image, k)
         assert text is not None
         return queries.text(text, k)
+
+    def describe(self, scale: "Scale | None" = None, *, most: int = 60) -> "Description":
+        """The scene in a few words (`str()`) or plain values (`to_json()`); see docs/queries.md.
+
+        Hidden objects are counted but not described. Renders the input views, for colours.
+
+        Args:
+            scale: Of lengths; None takes what the scene knows itself.
+            most: Only so many objects, the largest ones.
+
+        Raises:
+            ValueError: `most` is below 1.
+        """
+        from instok3d.scene.description import describe  # it draws scenes, so it imports this file
+
+        return describe(self, scale, most=most)
 
     def render(
         self,
