@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from instok3d.geometry.moving import Similarity, carry_gaussians
 from instok3d.geometry.spherical_harmonics import SH_CONSTANT
 from instok3d.photos.pixel_map import fit_pixels
 from instok3d.scene.from_gaussians import scene_from_gaussians
@@ -43,13 +44,22 @@ OFFICE = {
 }
 """In metres."""
 
+MOTION = Similarity((0.7, -1.2, 2.0), (0.5, -0.5, 0.1, 0.7), 0.4)
+"""Into another world: turned, in units of 2.5 m."""
+
 
 def box_room(
-    things: Mapping[str, Thing], *, labelled: bool = True, each: int = 300, seed: int = 0
+    things: Mapping[str, Thing],
+    *,
+    labelled: bool = True,
+    each: int = 300,
+    seed: int = 0,
+    motion: Similarity | None = None,
 ) -> Scene:
     """Things by name, ids from 1 in their order, up stated, no views.
 
-    Their Gaussians are drawn at random: another seed is as another capture.
+    Their Gaussians are drawn at random: another seed is as another capture. A motion carries the
+    whole room along, into units that nobody knows.
     """
     generator = torch.Generator().manual_seed(seed)
     points, colors, ids = [torch.zeros(0, 3)], [torch.zeros(0, 3)], []
@@ -66,11 +76,17 @@ def box_room(
         sh=(torch.cat(colors) - 0.5)[:, None] / SH_CONSTANT,
         anchor_index=torch.zeros(count, dtype=torch.long),
     )
+    up = (0.0, 0.0, 1.0)
+    if motion is not None:
+        gaussians = carry_gaussians(gaussians, motion)
+        x, y, z = motion.rotation()[:, 2].tolist()
+        up = (x, y, z)
     names = {number: name for number, name in enumerate(things, 1) if labelled}
     return scene_from_gaussians(
-        gaussians, torch.tensor(ids, dtype=torch.long), labels=names, units="metres",
+        gaussians, torch.tensor(ids, dtype=torch.long), labels=names, 
+        units="metres" if motion is None else "arbitrary",
         provenance=Provenance("instok3d 0", "imported", "", seed=0),
-        vertical=Vertical((0.0, 0.0, 1.0), "given", 1.0), height=SIDE, width=SIDE,
+        vertical=Vertical(up, "given", 1.0), height=SIDE, width=SIDE,
     )  # fmt: skip
 
 
@@ -93,7 +109,7 @@ def with_cameras(scene: Scene, eyes: list[Point], target: Point) -> Scene:
 
 def _surface(thing: Thing, count: int, generator: torch.Generator) -> torch.Tensor:
     """Points on the faces of a box, by their areas."""
-    low, high = torch.tensor(thing.low), torch.tensor(thing.high)
+    low, high = torch.tensor([thing.low, thing.high], dtype=torch.float32)
     size = high - low
     areas = torch.stack([size[1] * size[2], size[0] * size[2], size[0] * size[1]])
     axis = torch.multinomial(areas, count, replacement=True, generator=generator)

@@ -22,6 +22,7 @@ COMMANDS = {
     "info": "what is in a scene",
     "objects": "the objects of a scene as data",
     "describe": "a scene in a few words, for people and language models",
+    "diff": "what changed between two scenes of one room",
     "query": "objects of a scene by a text or a picture",
     "edit": "objects removed, moved, inserted, merged; undo and redo",
     "view": "a scene in the browser, to look at and to edit",
