@@ -3,13 +3,13 @@ import torch
 
 from flat_rooms import oracle
 from instok3d.data.sample import Sample
+from instok3d.evaluation.methods import FAR, NEAR
 from instok3d.evaluation.object_quality import (
     FoundObjects,
     ObjectScore,
     found_objects,
     score_objects,
 )
-from instok3d.evaluation.prediction import FAR, NEAR
 
 
 def painted(ids: list[list[int]], objects: int, weights: torch.Tensor | None = None):

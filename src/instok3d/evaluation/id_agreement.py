@@ -6,11 +6,9 @@ from torch import Tensor
 
 from instok3d.data.sample import Sample
 from instok3d.evaluation.prediction import RenderedIds
-from instok3d.geometry.cameras import invert_rigid, project, transform_points, unproject
+from instok3d.evaluation.sight_lines import shown_points
+from instok3d.geometry.cameras import invert_rigid, transform_points, unproject
 from instok3d.types import Cameras
-
-DEPTH_TOLERANCE = 0.05
-"""Relative difference of depths up to which two views show the same surface."""
 
 
 def id_agreement(sample: Sample, rendered: RenderedIds) -> float | None:
@@ -53,7 +51,7 @@ def agreement(
 
     For every ordered pair of views, each pixel of the first one whose depth is known is moved into
     the second one and falls into a pixel there. It counts where that pixel's own depth is known
-    and within DEPTH_TOLERANCE of that of the moved point: both views then see the same surface.
+    and close to that of the moved point (`sight_lines`): both views then see the same surface.
     It agrees where both pixels belong to the same group; a pixel of no group agrees with none.
     Pooled over all pairs.
 
@@ -66,7 +64,6 @@ def agreement(
         In [0, 1]; None where no pixel counts.
     """
     agreeing = counting = 0
-    height, width = depths.shape[-2:]
     for first in range(len(ids)):
         known = depths[first] > 0
         points = unproject(depths[first], cameras.intrinsics[first])[known]
@@ -74,15 +71,10 @@ def agreement(
         for second in range(len(ids)):
             if second == first:
                 continue
-            moved = transform_points(cameras.cam_from_world[second], world)
-            column, row = project(moved, cameras.intrinsics[second]).floor().unbind(-1)
-            inside = (moved[:, 2] > 0) & (column >= 0) & (column < width)
-            inside &= (row >= 0) & (row < height)
-            pixel = row[inside].long(), column[inside].long()
-            there, here = depths[second][pixel], moved[inside, 2]
-            same_surface = (there > 0) & ((there - here).abs() <= DEPTH_TOLERANCE * here)
-            id_here, id_there = ids[first][known][inside], ids[second][pixel]
-            same_id = (id_here == id_there) & (id_here >= 0)
-            counting += int(same_surface.sum())
-            agreeing += int((same_id & same_surface).sum())
+            rows, pixels = shown_points(
+                world, cameras.cam_from_world[second], cameras.intrinsics[second], depths[second]
+            )
+            id_here, id_there = ids[first][known][rows], ids[second].flatten()[pixels]
+            counting += len(rows)
+            agreeing += int(((id_here == id_there) & (id_here >= 0)).sum())
     return agreeing / counting if counting else None

@@ -1,40 +1,26 @@
 """What a model makes of one sample: pictures and masks at the target cameras, and its geometry."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from time import perf_counter
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from instok3d.data.sample import Sample, photos_only
+from instok3d.data.sample import Sample
 from instok3d.evaluation.camera_refinement import refined_cameras
-from instok3d.evaluation.instance_ap import PredictedMasks, predicted_masks
+from instok3d.evaluation.instance_ap import PredictedMasks
+from instok3d.evaluation.methods import FAR, NEAR, Cost, FittedScene, Method, Seen, show
 from instok3d.evaluation.object_quality import FoundObjects, found_objects
+from instok3d.evaluation.tokenizer_method import GeometryMode, Model, TokenizerMethod
 from instok3d.geometry.camera_alignment import (
     TargetCameras,
     baseline_scale,
     cameras_in_prediction,
 )
 from instok3d.geometry.similarity import depth_scale
-from instok3d.refinement.assignment import reassigned
-from instok3d.refinement.optimization import refine_gaussians
-from instok3d.refinement.settings import RefinementSettings
 from instok3d.render import render
-from instok3d.scene.clean_up import cleaned
-from instok3d.scene.record import SceneTokens
-from instok3d.types import Cameras, Geometry, Rendering, TokenGroups, Views
-
-GeometryMode = Literal["predicted", "intrinsics", "given"]
-"""'predicted': the model sees bare photos. 'intrinsics': photos and their true intrinsics, as the
-paper's model does. 'given': true cameras and depth too."""
-
-NEAR, FAR = 0.05, 100.0
-"""z-depths between which scenes are refined and rendered."""
-
-Model = Callable[[Views], TokenGroups]
-"""A Tokenizer, or whatever answers like one."""
+from instok3d.types import Cameras, Geometry, Views
 
 
 @dataclass(frozen=True)
@@ -54,14 +40,18 @@ class Prediction:
     """One scene, seen from the target cameras."""
 
     images: Float[Tensor, "target 3 height width"]
-    masks: tuple[PredictedMasks, ...]
-    """For each target view."""
-    num_groups_used: int
-    """Groups that win at least one anchor (against each other and the void)."""
+    masks: tuple[PredictedMasks, ...] | None
+    """For each target view; None of a method that knows no instances."""
+    num_groups_used: int | None
+    """Groups that win at least one anchor (against each other and the void); None without any."""
     cameras: Cameras
     """The target cameras in the predicted world, as they were rendered."""
-    geometry: Geometry
-    """Of the context views, batch of one."""
+    geometry: Geometry | None
+    """Of the context views, batch of one; None of a method that does not predict it."""
+    cost: Cost
+    """Of the scene."""
+    picture_s: float
+    """Wall-clock seconds that one target view took, with its masks."""
     images_depth_scaled: Float[Tensor, "target 3 height width"] | None
     """The targets rendered with the length fitted to true depth instead of baselines: a
     diagnostic that says how much of an error is the length alone. None at true target cameras and
@@ -74,115 +64,82 @@ class Prediction:
     """The same scene with each target camera fitted to its photo; if asked for."""
 
 
-@torch.no_grad()
 def predict(
     model: Model,
     sample: Sample,
     mode: GeometryMode,
     *,
     target_cameras: TargetCameras = "aligned",
-    pose_alignment_steps: int = 0,
-    alpha_min: float = 0.0,
     refine: int = 0,
-    clean_up: bool = False,
+    with_ids: bool = False,
+) -> Prediction:
+    """`predict_by` the tokenizer; with given cameras targets are rendered at the true ones."""
+    where = "true" if mode == "given" else target_cameras
+    method = TokenizerMethod(model, mode, refine)
+    return predict_by(method, sample, target_cameras=where, with_ids=with_ids)
+
+
+@torch.no_grad()
+def predict_by(
+    method: Method,
+    sample: Sample,
+    *,
+    masks: Int[Tensor, "view height width"] | None = None,
+    target_cameras: TargetCameras,
+    pose_alignment_steps: int = 0,
     with_ids: bool = False,
     with_objects: bool = False,
     also_aligned: int = 0,
 ) -> Prediction:
-    """Run the model on the context views of a sample and render its scene at the targets.
+    """Fit a method to the context views of a sample and render its scene at the targets.
 
     Args:
-        model: Photos in, token groups out.
+        method: Shown what it needs and no more.
         sample: A batch of one.
-        mode: What of the context views the model sees.
-        target_cameras: Where the targets are rendered; with given cameras always at the true ones.
+        masks: Id maps of the context views, for a method that needs them.
+        target_cameras: Where the targets are rendered.
         pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
-        alpha_min: Pixels covered no more than this belong to no group.
-        refine: Steps of refinement on the context photos, at the cameras of the prediction.
-        clean_up: Make whole objects of the groups, as `reconstruct` does by default.
         with_ids: Also render the ids of the context views, for `rendered_ids`.
         with_objects: Also find the objects of the scene in the context views, for `objects`.
         also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
 
     Raises:
-        ValueError: The sample is no batch of one, or lacks true cameras or depth; or the model's
-            answer is not finite.
+        ValueError: The sample is no batch of one, or lacks true cameras or depth; or the method
+            cannot make a scene of it.
     """
     batch, _, _, height, width = sample.target.images.shape
     if batch != 1:
         raise ValueError(f"predict needs a sample of one scene, got {batch}")
-    context, target = _cameras(sample.context), _cameras(sample.target)
     if sample.context.depths is None:
         raise ValueError("context.depths is missing; an evaluation sample carries true depth")
-    shown = sample.context
-    if mode != "given":
-        shown = photos_only(shown, keep_intrinsics=mode == "intrinsics")
-    groups = model(shown)
-    _check_finite(groups, sample.names[0])
-    gaussians, pi = groups.gaussians.scene(0), groups.assignment[0]
-    predicted = groups.geometry.cameras.scene(0)
-    if refine:
-        gaussians = refine_gaussians(
-            gaussians, predicted, sample.context.images[0], RefinementSettings(steps=refine),
-            near=NEAR, far=FAR,
-        ).gaussians  # fmt: skip
-        gaussians = reassigned(
-            gaussians, pi, groups.anchors.positions[0], predicted, height, width,
-            near=NEAR, far=FAR,
-        )  # fmt: skip
-
-    if clean_up:
-        tokens = SceneTokens(
-            groups.anchors.positions[0], groups.anchors.tokens[0], groups.tokens[0], pi
-        )
-        whole = cleaned(gaussians, tokens, predicted, height, width, near=NEAR, far=FAR)
-        gaussians, pi = whole.gaussians, whole.tokens.assignment
-
-    def place(scale: float) -> Cameras:
-        return cameras_in_prediction(
-            target, predicted_context=predicted, true_context=context, scale=scale
-        )
-
-    by_depth = None
-    if mode == "given" or target_cameras == "true":
-        cameras = target
-    else:
-        cameras = place(baseline_scale(predicted.cam_from_world, context.cam_from_world))
-        if (sample.context.depths > 0).any():
-            scale = float(depth_scale(groups.geometry.depths[0], sample.context.depths[0]))
-            by_depth = render(gaussians, place(scale), height, width, near=NEAR, far=FAR).colors
-    anchor_features = pi[:, :-1].contiguous()
-
-    def seen_from(cameras: Cameras) -> tuple[Rendering, tuple[PredictedMasks, ...]]:
-        rendering = render(
-            gaussians, cameras, height, width, anchor_features=anchor_features, near=NEAR, far=FAR
-        )
-        return rendering, _masks(rendering, alpha_min)
-
-    contexts = seen_from(predicted) if with_ids else None
+    shown = show(sample, method.needs, masks)
+    try:
+        scene = method.fit(shown)
+    except ValueError as error:
+        raise ValueError(f"{sample.names[0]} cannot be measured: {error}") from error
+    cameras, by_depth = _placed(scene, sample, target_cameras)
+    contexts = scene.at(scene.cameras, height, width) if with_ids else None
     objects = None
-    if with_objects:
-        objects = found_objects(gaussians, pi, predicted, height, width, near=NEAR, far=FAR)
-    winners = pi.argmax(dim=-1)
+    if with_objects and scene.assignment is not None:
+        objects = found_objects(
+            scene.gaussians, scene.assignment, scene.cameras, height, width, near=NEAR, far=FAR
+        )
 
     def fitted(steps: int) -> Prediction:
-        at = refined_cameras(gaussians, cameras, sample.target.images[0], steps=steps)
-        rendering, masks = seen_from(at)
-        rendered_ids = None
-        if contexts is not None:
-            rendered_ids = RenderedIds(
-                ids=torch.stack([torch.from_numpy(each.ids) for each in (*contexts[1], *masks)]),
-                depths=torch.cat([contexts[0].depths, rendering.depths]),
-                cameras=Cameras.concatenate([predicted, at]),
-            )
+        at = refined_cameras(scene.gaussians, cameras, sample.target.images[0], steps=steps)
+        started = perf_counter()
+        seen = scene.at(at, height, width)
+        seconds = perf_counter() - started
         return Prediction(
-            images=rendering.colors,
-            masks=masks,
-            num_groups_used=len(winners[winners < pi.shape[-1] - 1].unique()),
+            images=seen.rendering.colors,
+            masks=seen.masks,
+            num_groups_used=scene.num_groups_used(),
             cameras=at,
-            geometry=groups.geometry,
+            geometry=scene.geometry,
+            cost=scene.cost,
+            picture_s=seconds / max(len(at.intrinsics), 1),
             images_depth_scaled=by_depth,
-            rendered_ids=rendered_ids,
+            rendered_ids=_rendered_ids(scene, contexts, seen, at),
             objects=objects,
         )
 
@@ -190,11 +147,44 @@ def predict(
     return replace(prediction, aligned=fitted(also_aligned)) if also_aligned else prediction
 
 
-def _masks(rendering: Rendering, alpha_min: float) -> tuple[PredictedMasks, ...]:
-    assert rendering.features is not None
-    return tuple(
-        predicted_masks(maps, alphas, alpha_min=alpha_min)
-        for maps, alphas in zip(rendering.features, rendering.alphas, strict=True)
+def _placed(
+    scene: FittedScene, sample: Sample, target_cameras: TargetCameras
+) -> tuple[Cameras, Float[Tensor, "target 3 height width"] | None]:
+    """The target cameras in the world of the scene; and the targets with the length of true depth.
+
+    The latter is None at true cameras, and where no depth is known on one of both sides.
+    """
+    context, target = _cameras(sample.context), _cameras(sample.target)
+    if target_cameras == "true":
+        return target, None
+
+    def place(scale: float) -> Cameras:
+        return cameras_in_prediction(
+            target, predicted_context=scene.cameras, true_context=context, scale=scale
+        )
+
+    by_depth = None
+    true_depths = sample.context.depths
+    assert true_depths is not None
+    if scene.geometry is not None and (true_depths > 0).any():
+        height, width = sample.target.images.shape[-2:]
+        at = place(float(depth_scale(scene.geometry.depths[0], true_depths[0])))
+        by_depth = render(scene.gaussians, at, height, width, near=NEAR, far=FAR).colors
+    scale = baseline_scale(scene.cameras.cam_from_world, context.cam_from_world)
+    return place(scale), by_depth
+
+
+def _rendered_ids(
+    scene: FittedScene, contexts: Seen | None, targets: Seen, cameras: Cameras
+) -> RenderedIds | None:
+    """Of the context views, then of the targets, if the former were asked for."""
+    if contexts is None or contexts.masks is None or targets.masks is None:
+        return None
+    masks = (*contexts.masks, *targets.masks)
+    return RenderedIds(
+        ids=torch.stack([torch.from_numpy(each.ids) for each in masks]),
+        depths=torch.cat([contexts.rendering.depths, targets.rendering.depths]),
+        cameras=Cameras.concatenate([scene.cameras, cameras]),
     )
 
 
@@ -203,23 +193,3 @@ def _cameras(views: Views) -> Cameras:
     if views.cam_from_world is None or views.intrinsics is None:
         raise ValueError("cameras are missing; an evaluation sample carries the true ones")
     return Cameras(views.cam_from_world[0], views.intrinsics[0])
-
-
-def _check_finite(groups: TokenGroups, name: str) -> None:
-    """A renderer leaves out what is not finite, so the picture alone would not tell.
-
-    Points and features may be so: who uses them knows that some are unknown.
-    """
-    geometry = groups.geometry
-    parts = {
-        **vars(groups.gaussians),
-        "assignment": groups.assignment,
-        "depths": geometry.depths,
-        **{f"{part} of the cameras": value for part, value in vars(geometry.cameras).items()},
-    }
-    wrong = [part for part, values in parts.items() if not values.isfinite().all()]
-    if wrong:
-        raise ValueError(
-            f"the model's answer to {name} is not finite and cannot be measured: look for NaN in "
-            f"the model's weights; not finite are {', '.join(wrong)}"
-        )

@@ -4,17 +4,22 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from jaxtyping import Int
+from torch import Tensor
+
 from instok3d.data.batches import Unit
 from instok3d.data.sample import Sample
 from instok3d.evaluation.disturbances import Disturbance, disturbed
 from instok3d.evaluation.figures import Figures, summarize
 from instok3d.evaluation.id_agreement import id_agreement
 from instok3d.evaluation.instance_ap import ApSettings
+from instok3d.evaluation.methods import Method
 from instok3d.evaluation.object_quality import score_objects
-from instok3d.evaluation.prediction import GeometryMode, Model, Prediction, predict
+from instok3d.evaluation.prediction import Prediction, predict_by
 from instok3d.evaluation.protocols import LEVELS, ProtocolScene
 from instok3d.evaluation.scores import SceneScore, ViewScore, score_geometry, score_views
 from instok3d.evaluation.simple_baselines import color_masks, nearest_contexts, warped_photos
+from instok3d.evaluation.tokenizer_method import GeometryMode, Model, TokenizerMethod
 from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.objectives.lpips import Lpips
 
@@ -59,7 +64,7 @@ class EvaluationSettings:
             )
 
     def targets_of(self, scene: ProtocolScene) -> TargetCameras:
-        """Where the targets of a scene are rendered."""
+        """Where the targets of a scene are rendered; with given cameras always at the true ones."""
         if self.target_cameras != "auto":
             return self.target_cameras
         same_unit = self.geometry == "intrinsics" and self.model_unit == scene.unit
@@ -98,29 +103,33 @@ class EvaluationReport:
 
 
 def evaluate(
-    model: Model,
+    model: Model | Method,
     scenes: Iterable[ProtocolScene],
     settings: EvaluationSettings = EvaluationSettings(),
     *,
     protocol: str,
     model_name: str,
     lpips: Lpips | None = None,
+    masks_of: Callable[[Sample], Int[Tensor, "view height width"]] | None = None,
     on_scene: Callable[[ProtocolScene, Sequence[Prediction]], None] | None = None,
 ) -> EvaluationReport:
-    """Measure a model on the scenes of a protocol.
+    """Measure a model, or any other method, on the scenes of a protocol.
 
     Args:
-        model: Photos in, token groups out; in eval mode.
+        model: Photos in, token groups out, in eval mode; or a method. One that needs cameras is
+            measured with settings of geometry 'given'.
         scenes: See `protocols.protocol_rooms` and `dataset_protocols.protocol_scenes`.
         settings: How to measure.
         protocol: Name for the report.
         model_name: Name for the report, best with the hash of the weights.
         lpips: With weights; None leaves LPIPS out.
+        masks_of: The id maps of the context views of a sample, for a method that needs masks.
         on_scene: Called after each scene with its predictions, for progress and pictures.
 
     Raises:
-        ValueError: There is no scene.
+        ValueError: There is no scene; or the settings do not give the cameras that are needed.
     """
+    method = _method(model, settings)
     scores: list[SceneScore] = []
     aligned_scores: list[SceneScore] = []
     true_targets = 0
@@ -129,7 +138,10 @@ def evaluate(
         scene = disturbed(clean, settings.disturb) if settings.disturb else clean
         targets = settings.targets_of(scene)
         true_targets += targets == "true"
-        predictions = [_predict(model, sample, targets, settings) for sample in scene.samples]
+        predictions = [
+            _predict(method, sample, masks_of and masks_of(sample), targets, settings)
+            for sample in scene.samples
+        ]
         scores.append(_score_model(scene, predictions, settings, lpips))
         aligned = [each.aligned for each in predictions if each.aligned is not None]
         if settings.also_aligned:
@@ -174,18 +186,32 @@ def _by_level(scores: Sequence[SceneScore]) -> dict[str, Figures]:
     return {level: summarize([s for s in scores if s.level == level]) for level in levels}
 
 
+def _method(model: Model | Method, settings: EvaluationSettings) -> Method:
+    """What is measured; a model is the tokenizer, shown what the settings say."""
+    if not isinstance(model, Method):
+        return TokenizerMethod(
+            model, settings.geometry, settings.refine, settings.clean_up, settings.alpha_min
+        )
+    if "cameras" in model.needs and settings.geometry != "given":
+        raise ValueError(
+            f"the method needs given cameras, the settings say geometry {settings.geometry!r}"
+        )
+    return model
+
+
 def _predict(
-    model: Model, sample: Sample, targets: TargetCameras, settings: EvaluationSettings
+    method: Method,
+    sample: Sample,
+    masks: Int[Tensor, "view height width"] | None,
+    targets: TargetCameras,
+    settings: EvaluationSettings,
 ) -> Prediction:
-    return predict(
-        model,
+    return predict_by(
+        method,
         sample,
-        settings.geometry,
+        masks=masks,
         target_cameras=targets,
         pose_alignment_steps=settings.pose_alignment_steps,
-        alpha_min=settings.alpha_min,
-        refine=settings.refine,
-        clean_up=settings.clean_up,
         with_ids=settings.id_agreement,
         with_objects=settings.objects,
         also_aligned=settings.also_aligned,
@@ -212,13 +238,17 @@ def _score_model(
     ]
     geometry = ()
     if settings.geometry != "given":
-        geometry = tuple(score_geometry(sample, each.geometry) for sample, each in pairs)
+        geometry = tuple(
+            score_geometry(sample, each.geometry) for sample, each in pairs if each.geometry
+        )
     return SceneScore(
         name=scene.name,
         level=scene.level,
         views=tuple(view for sample_views in views for view in sample_views),
         geometry=geometry,
-        groups_used=tuple(prediction.num_groups_used for prediction in predictions),
+        groups_used=tuple(
+            each.num_groups_used for each in predictions if each.num_groups_used is not None
+        ),
         id_agreement=tuple(
             id_agreement(sample, prediction.rendered_ids)
             for sample, prediction in pairs
@@ -245,11 +275,12 @@ def _score_baselines(
     views: dict[str, list[ViewScore]] = {}
     for sample, prediction in zip(scene.samples, predictions, strict=True):
         nearest = sample.context.images[0, nearest_contexts(sample)]
-        warped = warped_photos(sample, prediction.geometry, prediction.cameras)
-        for name, images in (
-            ("nearest context photo", nearest),
-            ("context photo warped by depth", warped),
-        ):
+        pictures = {"nearest context photo": nearest}
+        if prediction.geometry is not None:
+            pictures["context photo warped by depth"] = warped_photos(
+                sample, prediction.geometry, prediction.cameras
+            )
+        for name, images in pictures.items():
             scores = score_views(sample, images, None, settings.ap, lpips=lpips)
             views.setdefault(name, []).extend(scores)
         for name, images in (

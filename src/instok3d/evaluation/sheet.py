@@ -59,13 +59,14 @@ def _sections(sample: Sample, prediction: Prediction, *, title: str = "context")
     sections = [Section(title, list(color_picture(sample.context.images[0])))]
     for target, photo in enumerate(sample.target.images[0]):
         true_ids = sample.target_instances[0, target].cpu().numpy()
-        predicted = recolored(prediction.masks[target].ids, true_ids)
         cells = {
             "target": color_picture(photo),
             "render": color_picture(prediction.images[target]),
             "true ids": id_picture(true_ids),
-            "predicted ids": id_picture(predicted),
         }
+        if prediction.masks is not None:
+            predicted = recolored(prediction.masks[target].ids, true_ids)
+            cells["predicted ids"] = id_picture(predicted)
         if prediction.aligned is not None:
             cells["aligned render"] = color_picture(prediction.aligned.images[target])
         sections.append(Section("", list(cells.values()), tuple(cells)))
