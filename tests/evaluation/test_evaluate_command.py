@@ -265,3 +265,42 @@ def test_what_one_protocol_cannot_use_does_not_cost_the_figures_of_the_other(
 def test_outlines_are_for_captures_alone(folder, tmp_path, capsys):
     assert main(command(folder, "--outlines", str(tmp_path))) == 2
     assert "--outlines are of photos of captures, rooms-2view has" in capsys.readouterr().err
+
+
+def by_method(folder: Path, *more: str) -> list[str]:
+    words = ["evaluate", "rooms-8view", "--data", str(folder), "--scenes", "1"]
+    return [*words, "--method-steps", "12", *more]
+
+
+def test_other_methods_are_measured_by_the_same_protocols(folder, tmp_path, capsys):
+    words = by_method(folder, "--method", "objectgs", "--save", str(tmp_path))
+    assert main([*words, "--json", "--details"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["model"] == "objectgs, 12 steps, masks true"
+    assert result["psnr"] is not None
+    assert result["ap25"] > 0.3
+    assert result["rotation_deg"] is None
+    assert result["details"]["settings"]["geometry"] == "given"
+    assert len(list(tmp_path.iterdir())) == 1
+    assert main(by_method(folder, "--method", "3dgs", "--markdown")) == 0
+    row = capsys.readouterr().out.splitlines()[-1]
+    assert "| given | 3dgs, 12 steps | 1 | 7 |" in row
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--method", "3dgs", "--refine", "5"], "--refine is of the tokenizer; leave it out"),
+        (["--method", "3dgs", "--geometry", "predicted"], "--geometry is of the tokenizer"),
+        ([], "add --method"),
+    ],
+)
+def test_options_of_other_methods_are_checked(folder, capsys, words, message):
+    assert main(by_method(folder, *words)) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_methods_that_need_depth_are_refused_for_captures(folder, capsys):
+    words = ["evaluate", "capture", "--data", str(folder), "--method", "3dgs"]
+    assert main(words) == 2
+    assert "choose a protocol of rooms or ScanNet" in capsys.readouterr().err

@@ -39,6 +39,41 @@ def test_values_without_a_gradient_stay():
     assert still.shape == (0,)
 
 
+def test_rows_that_stay_keep_their_moments_and_fresh_ones_begin_anew():
+    generator = torch.Generator().manual_seed(0)
+    start, gradient = torch.randn(2, 3, 2, generator=generator).unbind()
+
+    def pulled(value: torch.Tensor, optimizer: Adam, slope: torch.Tensor) -> None:
+        value.grad = slope.clone()
+        optimizer.step()
+
+    whole = start.clone().requires_grad_()
+    optimizer = Adam([(whole, 0.1)], eps=1e-15)
+    pulled(whole, optimizer, gradient)
+    source, fresh = torch.tensor([2, 0, 0]), torch.tensor([False, False, True])
+    rows = whole.detach()[source].clone().requires_grad_()
+    optimizer.replace(0, rows, source, fresh)
+    twin = start.clone().requires_grad_()
+    reference = Adam([(twin, 0.1)], eps=1e-15)
+    for _ in range(2):
+        pulled(twin, reference, gradient)
+    pulled(rows, optimizer, gradient[source])
+    torch.testing.assert_close(rows[:2], twin[source[:2]])
+    # One gradient g of a fresh row in the second step: rate * (.1 / .19) g / sqrt(.001 / .001999) g
+    step = 0.1 * (0.1 / 0.19) / (0.001 / 0.001999) ** 0.5
+    moved = start[0] - 0.1 * gradient[0].sign() - step * gradient[0].sign()
+    torch.testing.assert_close(rows[2].detach(), moved)
+
+
+def test_a_rate_can_change():
+    value = torch.zeros(1, requires_grad=True)
+    optimizer = Adam([(value, 0.5)], eps=1e-15)
+    optimizer.set_rate(0, 0.25)
+    value.sum().backward()
+    optimizer.step()
+    torch.testing.assert_close(value.detach(), torch.tensor([-0.25]))
+
+
 def test_refining_imports_no_compiler():
     # torch._dynamo and all that it imports: 800 modules, a second.
     code = (

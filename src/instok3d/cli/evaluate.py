@@ -29,6 +29,8 @@ Protocol = Literal[
     "capture-2view",
     "capture-8view",
 ]
+Method = Literal["tokenizer", "3dgs", "gaussian-grouping", "objectgs", "label-lifting"]
+"""The model, and those of baselines/registry.py, which needs PyTorch."""
 Disturbance = Literal[
     "jpeg30", "noise8", "exposure20", "focal1.33", "focal2", "grey", "overexposed", "hard"
 ]
@@ -40,6 +42,8 @@ def run(
     /,
     data: Path,
     model: Path | None = None,
+    method: Method = "tokenizer",
+    method_steps: int | None = None,
     geometry: Literal["predicted", "intrinsics", "given"] | None = None,
     target_cameras: Literal["auto", "true", "aligned"] = "auto",
     scenes: int | None = None,
@@ -72,6 +76,9 @@ def run(
             of prepared scenes, from `instok3d data prepare`; or a capture, photos with their
             cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
         model: A model file instead of the default model.
+        method: tokenizer: the model. The others optimise each scene of rooms or ScanNet, from given
+            cameras and depth, and all but 3dgs with the true masks of the context views.
+        method_steps: Of such an optimisation; 600 as a rule.
         geometry: predicted: bare photos. intrinsics: the model is also given the true intrinsics.
             given: it gets true cameras and depth. None: predicted for rooms and captures;
             intrinsics for the others, as in the paper.
@@ -107,10 +114,10 @@ def run(
         markdown: Print rows for docs/results.md.
     """
     from instok3d.cli.evaluate_captures import ALIGNMENT_STEPS, Run, capture_runs
+    from instok3d.cli.evaluate_methods import check_options, measured_method, measured_model
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.run import EvaluationSettings, evaluate
-    from instok3d.files import sha256_of
-    from instok3d.model.files import DEFAULT_MODEL, load_model, read_unit
+    from instok3d.model.files import read_unit
     from instok3d.objectives.lpips import load_lpips
     from instok3d.progress import progress_bar
     from instok3d.refinement.settings import check_steps
@@ -125,7 +132,18 @@ def run(
     check_steps(refine)
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
-    unit = read_unit(model)
+    if method != "tokenizer":
+        given = {
+            "--model": model is not None,
+            "--geometry": geometry not in (None, "given"),
+            "--refine": refine > 0,
+            "--clean-up": clean_up,
+        }
+        check_options(method, protocol, given)
+        geometry = "given"
+    elif method_steps is not None:
+        raise ValueError("--method-steps are of a method that optimises each scene: add --method")
+    unit = read_unit(model) if method == "tokenizer" else None
     settings = EvaluationSettings(
         geometry=geometry or ("predicted" if bare else "intrinsics"),
         target_cameras=target_cameras,
@@ -151,15 +169,17 @@ def run(
         runs = [Run(protocol, *_rooms(data, protocol, scenes, most, unit))]
     else:
         runs = [Run(protocol, *_prepared(data, protocol, scenes, index, all_targets, split, unit))]
-    file = DEFAULT_MODEL if model is None else model
-    model_name = None
+    measured = None
     reports = []
     for each in runs:
-        asked = _checked(each.scenes, model)
+        asked = _checked(each.scenes, model) if method == "tokenizer" else each.scenes
         if asked is None and of_captures:
             continue  # each was left out with a warning; the other protocol may have some
-        tokenizer = load_model(model)
-        model_name = model_name or f"{file.name} sha256:{sha256_of(file)[:12]}"
+        if measured is None:
+            by_scene = method != "tokenizer"
+            measured = (
+                measured_method(method, steps=method_steps) if by_scene else measured_model(model)
+            )
         if save is not None:
             save.mkdir(parents=True, exist_ok=True)
         with progress_bar(each.total, unit="scene") as bar:
@@ -176,19 +196,20 @@ def run(
 
             reports.append(
                 evaluate(
-                    tokenizer,
+                    measured.method,
                     asked or (),
                     settings,
                     protocol=each.protocol,
-                    model_name=model_name,
+                    model_name=measured.name,
                     lpips=distance,
+                    masks_of=measured.masks_of,
                     on_scene=on_scene,
                 )
             )
-    if not reports:
+    if not reports or measured is None:
         raise ValueError(f"no capture in {data} can be measured by {protocol}: see the warnings")
     form = "json" if json else "markdown" if markdown else "table"
-    _print(protocol, reports, form=form, details=details, model=model)
+    _print(protocol, reports, form=form, details=details, seed=measured.seed)
 
 
 def _print(
@@ -197,7 +218,7 @@ def _print(
     *,
     form: Literal["json", "markdown", "table"],
     details: bool,
-    model: Path | None,
+    seed: int | None,
 ) -> None:
     from instok3d.evaluation.report import as_json, as_table, results_header, results_rows
 
@@ -207,7 +228,6 @@ def _print(
         values = {each.protocol: as_json(each, details=details) for each in reports}
         print_json(values.get(protocol, {"protocol": protocol, **values}))
     elif form == "markdown":
-        from instok3d.model.files import read_card
         from instok3d.version import current_commit, short
 
         print(results_header(reports[0]))
@@ -216,7 +236,7 @@ def _print(
                 each,
                 command=" ".join(["instok3d", *sys.argv[1:]]),
                 commit=short(current_commit()),
-                seed=read_card(model).get("config", {}).get("seed"),
+                seed=seed,
                 machine=_machine(),
             )
             print(rows)

@@ -1,7 +1,7 @@
 """Adam without `torch.optim.Adam`: making one imports torch._dynamo, which takes a second."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.optim.adam import adam
 
@@ -32,6 +32,31 @@ class Adam:
                 beta1=0.9, beta2=0.999, lr=rate, weight_decay=0.0, eps=self._eps, maximize=False,
             )  # fmt: skip
             value.grad = None
+
+    def set_rate(self, place: int, rate: float) -> None:
+        """The rate of one of the values from now on, by its place among them."""
+        value, _, first, second, steps = self._rows[place]
+        self._rows[place] = (value, rate, first, second, steps)
+
+    def replace(
+        self,
+        place: int,
+        value: Float[Tensor, "..."],
+        source: Int[Tensor, " row"],
+        fresh: Bool[Tensor, " row"],
+    ) -> None:
+        """Optimise another value in the place of one, whose rows were taken from it.
+
+        Args:
+            place: Of the value among all.
+            value: From now on.
+            source: Which of the present rows each row was.
+            fresh: Rows whose moments begin at 0; the others keep theirs.
+        """
+        _, rate, *moments, steps = self._rows[place]
+        first, second = (moment[source] for moment in moments)
+        first[fresh], second[fresh] = 0, 0
+        self._rows[place] = (value, rate, first, second, steps)
 
 
 def _zero(value: Tensor) -> Float[Tensor, ""]:

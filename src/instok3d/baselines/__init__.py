@@ -1,0 +1,1 @@
+"""Methods of others, implemented here from their papers, behind `evaluation.methods.Method`."""
