@@ -276,7 +276,7 @@ def test_other_methods_are_measured_by_the_same_protocols(folder, tmp_path, caps
     words = by_method(folder, "--method", "objectgs", "--save", str(tmp_path))
     assert main([*words, "--json", "--details"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["model"] == "objectgs, 12 steps, masks true"
+    assert result["model"] == "objectgs, 12 steps, masks true, tracker true-ids"
     assert result["psnr"] is not None
     assert result["ap25"] > 0.3
     assert result["rotation_deg"] is None
@@ -293,11 +293,33 @@ def test_other_methods_are_measured_by_the_same_protocols(folder, tmp_path, caps
         (["--method", "3dgs", "--refine", "5"], "--refine is of the tokenizer; leave it out"),
         (["--method", "3dgs", "--geometry", "predicted"], "--geometry is of the tokenizer"),
         ([], "add --method"),
+        (
+            ["--masks", "degraded"],
+            "--masks and --tracker are of a method that optimises each scene",
+        ),
+        (["--method", "3dgs", "--masks", "true"], "--method 3dgs needs no masks"),
+        (
+            ["--method", "objectgs", "--masks", "degraded", "--tracker", "true-ids"],
+            "choose --tracker true-depth",
+        ),
+        (["--method", "objectgs", "--model", "mine"], "--model is of the tokenizer"),
     ],
 )
 def test_options_of_other_methods_are_checked(folder, capsys, words, message):
     assert main(by_method(folder, *words)) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_row_names_where_masks_and_their_ids_come_from(folder, capsys):
+    words = by_method(folder, "--method", "label-lifting", "--json", "--masks", "degraded")
+    assert main(words) == 0
+    name = json.loads(capsys.readouterr().out)["model"]
+    assert name == "label-lifting, 12 steps, masks degraded, tracker true-depth"
+    model = str(folder / "tiny.safetensors")
+    assert main([*words, "--tracker", "predicted-depth", "--model", model]) == 0
+    assert json.loads(capsys.readouterr().out)["model"].endswith(
+        "masks degraded, tracker predicted-depth of tiny.safetensors"
+    )
 
 
 def test_methods_that_need_depth_are_refused_for_captures(folder, capsys):

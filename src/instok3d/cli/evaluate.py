@@ -44,6 +44,8 @@ def run(
     model: Path | None = None,
     method: Method = "tokenizer",
     method_steps: int | None = None,
+    masks: Literal["true", "degraded"] | None = None,
+    tracker: Literal["true-ids", "true-depth", "predicted-depth", "none"] | None = None,
     geometry: Literal["predicted", "intrinsics", "given"] | None = None,
     target_cameras: Literal["auto", "true", "aligned"] = "auto",
     scenes: int | None = None,
@@ -77,8 +79,13 @@ def run(
             cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
         model: A model file instead of the default model.
         method: tokenizer: the model. The others optimise each scene of rooms or ScanNet, from given
-            cameras and depth, and all but 3dgs with the true masks of the context views.
+            cameras and depth, and all but 3dgs with masks of the context views.
         method_steps: Of such an optimisation; 600 as a rule.
+        masks: For such a method. true: of the data, which is the rule and an upper bound. degraded:
+            these, in each view with the faults of a network that segments single photos.
+        tracker: How ids of these masks come to hold across views. true-ids: those of the data, the
+            rule for true masks. true-depth: by true depth and cameras, the rule for degraded ones.
+            predicted-depth: by those that the model predicts of bare photos. none: not at all.
         geometry: predicted: bare photos. intrinsics: the model is also given the true intrinsics.
             given: it gets true cameras and depth. None: predicted for rooms and captures;
             intrinsics for the others, as in the paper.
@@ -114,7 +121,12 @@ def run(
         markdown: Print rows for docs/results.md.
     """
     from instok3d.cli.evaluate_captures import ALIGNMENT_STEPS, Run, capture_runs
-    from instok3d.cli.evaluate_methods import check_options, measured_method, measured_model
+    from instok3d.cli.evaluate_methods import (
+        GivenMasks,
+        check_options,
+        measured_method,
+        measured_model,
+    )
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.run import EvaluationSettings, evaluate
     from instok3d.model.files import read_unit
@@ -134,15 +146,18 @@ def run(
         raise ValueError("--details adds to the JSON object: pass --json too")
     if method != "tokenizer":
         given = {
-            "--model": model is not None,
+            "--model": model is not None and tracker != "predicted-depth",
             "--geometry": geometry not in (None, "given"),
             "--refine": refine > 0,
             "--clean-up": clean_up,
         }
         check_options(method, protocol, given)
         geometry = "given"
-    elif method_steps is not None:
-        raise ValueError("--method-steps are of a method that optimises each scene: add --method")
+    elif method_steps is not None or masks is not None or tracker is not None:
+        raise ValueError(
+            "--method-steps, --masks and --tracker are of a method that optimises each scene: "
+            "add --method"
+        )
     unit = read_unit(model) if method == "tokenizer" else None
     settings = EvaluationSettings(
         geometry=geometry or ("predicted" if bare else "intrinsics"),
@@ -176,10 +191,11 @@ def run(
         if asked is None and of_captures:
             continue  # each was left out with a warning; the other protocol may have some
         if measured is None:
-            by_scene = method != "tokenizer"
-            measured = (
-                measured_method(method, steps=method_steps) if by_scene else measured_model(model)
-            )
+            if method == "tokenizer":
+                measured = measured_model(model)
+            else:
+                given_masks = GivenMasks(masks, tracker, model)
+                measured = measured_method(method, method_steps, given_masks)
         if save is not None:
             save.mkdir(parents=True, exist_ok=True)
         with progress_bar(each.total, unit="scene") as bar:

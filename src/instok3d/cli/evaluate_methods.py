@@ -1,15 +1,11 @@
 """What `instok3d evaluate --method` measures."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxtyping import Int
-from torch import Tensor
-
+from instok3d.baselines.context_masks import MasksOf, MaskSource, Tracker, context_masks
 from instok3d.baselines.registry import METHODS, MethodName
 from instok3d.baselines.settings import SplatSettings
-from instok3d.data.sample import Sample
 from instok3d.evaluation.methods import Method
 from instok3d.evaluation.tokenizer_method import Model
 from instok3d.files import sha256_of
@@ -24,7 +20,7 @@ class Measured:
     name: str
     seed: int | None
     """Of its training or optimisation; None where nobody knows."""
-    masks_of: Callable[[Sample], Int[Tensor, "view height width"]] | None = None
+    masks_of: MasksOf | None = None
     """For a method that needs masks."""
 
 
@@ -40,26 +36,43 @@ def measured_model(model: Path | None) -> Measured:
     return Measured(tokenizer, f"{file.name} sha256:{sha256_of(file)[:12]}", seed)
 
 
-def measured_method(name: MethodName, *, steps: int | None) -> Measured:
-    """A method that optimises each scene; masks are the true ones.
+@dataclass(frozen=True)
+class GivenMasks:
+    """Where masks of the context views come from; None is the rule."""
+
+    source: MaskSource | None
+    tracker: Tracker | None
+    model: Path | None
+    """Whose geometry the tracker predicted-depth takes."""
+
+
+def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> Measured:
+    """A method that optimises each scene.
 
     Args:
         name: Of the method.
         steps: Of the optimisation; None takes those of the method.
+        masks: That it is given, if it needs any.
 
     Raises:
-        ValueError: No such number of steps can be done.
+        ValueError: No such number of steps can be done, masks are named that are not needed, or
+            they cannot be made so.
     """
     settings = SplatSettings() if steps is None else SplatSettings(steps=steps)
     method = METHODS[name](settings)
     title = f"{name}, {settings.steps} steps"
     if "masks" not in method.needs:
+        if masks.source is not None or masks.tracker is not None:
+            raise ValueError(f"--method {name} needs no masks: leave --masks and --tracker out")
         return Measured(method, title, settings.seed)
-    return Measured(method, f"{title}, masks true", settings.seed, _true_masks)
-
-
-def _true_masks(sample: Sample) -> Int[Tensor, "view height width"]:
-    return sample.context_instances[0]
+    source = masks.source or "true"
+    tracker = masks.tracker or ("true-ids" if source == "true" else "true-depth")
+    model = load_model(masks.model) if tracker == "predicted-depth" else None
+    masks_of = context_masks(source, tracker, model=model, seed=settings.seed)
+    title = f"{title}, masks {source}, tracker {tracker}"
+    if model is not None:
+        title += f" of {(masks.model or DEFAULT_MODEL).name}"
+    return Measured(method, title, settings.seed, masks_of)
 
 
 def check_options(name: MethodName, protocol: str, given: dict[str, bool]) -> None:

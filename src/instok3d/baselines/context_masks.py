@@ -1,0 +1,74 @@
+"""Where the id maps of the context views come from that methods are given."""
+
+from collections.abc import Callable
+from typing import Literal
+from zlib import crc32
+
+from jaxtyping import Int
+from torch import Tensor
+
+from instok3d.baselines.degraded_masks import degraded_masks
+from instok3d.baselines.tracking import tracked, unmatched
+from instok3d.data.sample import Sample, photos_only
+from instok3d.evaluation.tokenizer_method import Model
+from instok3d.types import Cameras
+
+MaskSource = Literal["true", "degraded"]
+"""true: of the data. degraded: these, with the faults of a segmentation network in each view."""
+Tracker = Literal["true-ids", "true-depth", "predicted-depth", "none"]
+"""How ids come to hold across views. true-ids: those of the data. true-depth, predicted-depth: by
+depth and cameras, true or of a geometry network. none: not at all."""
+
+MasksOf = Callable[[Sample], Int[Tensor, "view height width"]]
+
+
+def check_masks(source: MaskSource, tracker: Tracker) -> None:
+    """Refuse what has no meaning.
+
+    Raises:
+        ValueError: Degraded masks have no true ids.
+    """
+    if source == "degraded" and tracker == "true-ids":
+        raise ValueError(
+            "--masks degraded have no ids that hold across views: choose --tracker true-depth, "
+            "predicted-depth or none"
+        )
+
+
+def context_masks(
+    source: MaskSource, tracker: Tracker, *, model: Model | None = None, seed: int = 0
+) -> MasksOf:
+    """What gives the id maps of the context views of a sample of one.
+
+    Args:
+        source: Of the masks.
+        tracker: How ids come to hold across views.
+        model: Whose geometry of the bare photos predicted-depth takes.
+        seed: Of the faults, which also depend on the name of the sample.
+
+    Raises:
+        ValueError: See `check_masks`; or predicted-depth without a model.
+    """
+    check_masks(source, tracker)
+    if tracker == "predicted-depth" and model is None:
+        raise ValueError("tracker predicted-depth needs a model whose geometry it takes, got None")
+
+    def masks_of(sample: Sample) -> Int[Tensor, "view height width"]:
+        masks = sample.context_instances[0]
+        if source == "degraded":
+            masks = degraded_masks(masks, seed=(seed, crc32(sample.names[0].encode())))
+        if tracker == "true-ids":
+            return masks
+        if tracker == "none":
+            return unmatched(masks)
+        context = sample.context
+        if tracker == "predicted-depth":
+            assert model is not None
+            geometry = model(photos_only(context)).geometry
+            return tracked(masks, geometry.depths[0], geometry.cameras.scene(0))
+        if context.depths is None or context.cam_from_world is None or context.intrinsics is None:
+            raise ValueError(f"{sample.names[0]} has no true depth to track masks by")
+        cameras = Cameras(context.cam_from_world[0], context.intrinsics[0])
+        return tracked(masks, context.depths[0], cameras)
+
+    return masks_of
