@@ -322,6 +322,19 @@ def test_the_row_names_where_masks_and_their_ids_come_from(folder, capsys):
     )
 
 
+def test_instances_in_space_are_measured_if_that_is_asked_for(folder, capsys):
+    words = by_method(folder, "--method", "objectgs", "--instances-3d")
+    assert main([*words, "--json", "--details"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result["instances_3d"]) == {"ap_3d", "ap50_3d", "ap25_3d"}
+    assert result["instances_3d"]["ap50_3d"] > 0.5
+    figures = result["details"]["figures"]
+    assert figures["label_scalars"] == figures["semantic_units"] < figures["gaussians"]
+    assert figures["ap_scannet"] >= result["ap"]
+    assert main([*words, "--markdown"]) == 0
+    assert "| AP 3D | AP50 3D | AP25 3D |" in capsys.readouterr().out
+
+
 def test_methods_that_need_depth_are_refused_for_captures(folder, capsys):
     words = ["evaluate", "capture", "--data", str(folder), "--method", "3dgs"]
     assert main(words) == 2

@@ -59,6 +59,7 @@ def run(
     refine: int = 0,
     clean_up: bool = False,
     objects: bool = False,
+    instances_3d: bool = False,
     disturb: Disturbance | None = None,
     lpips: str | None = None,
     baselines: bool = False,
@@ -109,6 +110,8 @@ def run(
             reconstruct does by default; without it the groups are measured as the model gives them.
         objects: Also measure whether each thing is one whole object in the context views: objects
             for each instance, share of whole ones, purity, instances found, small ones too.
+        instances_3d: Also compare instances in space: points of the context views that belong
+            together, over all of these views at once (docs/evaluation.md).
         disturb: Do this to the context photos first, always in the same way (docs/evaluation.md);
             the targets stay clean.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
@@ -171,6 +174,7 @@ def run(
         baselines=baselines,
         id_agreement=of_captures,
         objects=objects,
+        instances_3d=instances_3d,
         disturb=disturb,
     )
     distance = None if lpips is None else load_lpips(lpips)

@@ -62,6 +62,21 @@ class Figures:
     """Of the instances, those with which an object has an IoU of at least .5."""
     small_found_share: float | None
     """The same of the instances under 1 % of the pixels of every view."""
+    ap_scannet: float | None
+    """AP over the thresholds .50:.05:.90 of ScanNet's benchmark."""
+    ap_3d: float | None
+    """Of sets of points instead of masks, over .50:.05:.90, pooled over samples."""
+    ap50_3d: float | None
+    ap25_3d: float | None
+    gaussians: float | None
+    """Mean over samples; so are the next five."""
+    semantic_units: float | None
+    label_scalars: float | None
+    feature_scalars: float | None
+    fit_s: float | None
+    """Wall-clock seconds from photos to scene."""
+    picture_s: float | None
+    """Wall-clock seconds for one target view with its masks."""
     counts: dict[str, int]
     """Scores behind each figure: target views behind pictures, samples behind cameras, depth and
     groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance; in masks the
@@ -71,6 +86,8 @@ class Figures:
 PICTURES = ("psnr", "ssim", "lpips", "psnr_depth_scaled")
 MEDIANS = ("rotation_deg", "direction_deg", "length_rel")
 MEANS = ("depth_rel", "depth_rel_unscaled")
+COSTS = ("gaussians", "semantic_units", "label_scalars", "feature_scalars", "fit_s")
+SOLID = ("ap_3d", "ap50_3d", "ap25_3d")
 OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share")
 
 
@@ -98,6 +115,8 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
     used = [float(count) for scene in scenes for count in scene.groups_used]
     agreements = [share for scene in scenes for share in scene.id_agreement if share is not None]
     objects = [score for scene in scenes for score in scene.objects if score is not None]
+    solid = average_precision([each for scene in scenes for each in scene.instances_3d])
+    costs = [cost for scene in scenes for cost in scene.costs]
     purities = [purity for score in objects for purity in score.purities]
 
     def total(name: str) -> int:
@@ -128,6 +147,12 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         purity=_mean(purities),
         found_share=_ratio(total("num_found"), total("num_instances")),
         small_found_share=_ratio(total("num_small_found"), total("num_small")),
+        ap_scannet=_or_none(pooled.ap_scannet),
+        ap_3d=_or_none(solid.ap_scannet),
+        ap50_3d=_or_none(solid.ap50),
+        ap25_3d=_or_none(solid.ap25),
+        **{name: _mean([float(getattr(cost, name)) for cost in costs]) for name in COSTS},
+        picture_s=_mean([seconds for scene in scenes for seconds in scene.picture_s]),
         counts={
             **{name: len(values) for name, values in pictures.items()},
             **{name: len(_known(samples, name)) for name in (*MEDIANS, *MEANS)},

@@ -63,6 +63,8 @@ class InstanceAp:
     ap25: float
     num_instances: int
     num_masks: int
+    ap_scannet: float = np.nan
+    """Mean over .50:.05:.90, the thresholds of ScanNet's benchmark."""
 
 
 def predicted_masks(
@@ -149,7 +151,14 @@ def average_precision(images: Iterable[ImageMatches]) -> InstanceAp:
         _interpolated(hits[~out], num_instances)
         for hits, out in zip(true_positive, ignored, strict=True)
     ]
-    return InstanceAp(float(np.mean(each[1:])), each[1], each[0], num_instances, num_masks)
+    return InstanceAp(
+        ap=float(np.mean(each[1:])),
+        ap50=each[1],
+        ap25=each[0],
+        num_instances=num_instances,
+        num_masks=num_masks,
+        ap_scannet=float(np.mean(each[1:-1])),
+    )
 
 
 def scene_macro_ap(scenes: Sequence[Iterable[ImageMatches]]) -> InstanceAp:
@@ -166,6 +175,7 @@ def scene_macro_ap(scenes: Sequence[Iterable[ImageMatches]]) -> InstanceAp:
         ap25=mean([one.ap25 for one in known]),
         num_instances=sum(one.num_instances for one in each),
         num_masks=sum(one.num_masks for one in each),
+        ap_scannet=mean([one.ap_scannet for one in known]),
     )
 
 

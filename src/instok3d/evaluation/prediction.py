@@ -9,7 +9,8 @@ from torch import Tensor
 
 from instok3d.data.sample import Sample
 from instok3d.evaluation.camera_refinement import refined_cameras
-from instok3d.evaluation.instance_ap import PredictedMasks
+from instok3d.evaluation.instance_ap import ImageMatches, PredictedMasks
+from instok3d.evaluation.instances_3d import match_points
 from instok3d.evaluation.methods import FAR, NEAR, Cost, FittedScene, Method, Seen, show
 from instok3d.evaluation.object_quality import FoundObjects, found_objects
 from instok3d.evaluation.tokenizer_method import GeometryMode, Model, TokenizerMethod
@@ -56,6 +57,8 @@ class Prediction:
     """The targets rendered with the length fitted to true depth instead of baselines: a
     diagnostic that says how much of an error is the length alone. None at true target cameras and
     where no depth is known."""
+    instances_3d: ImageMatches | None = None
+    """Groups against true instances in space; if asked for."""
     rendered_ids: RenderedIds | None = None
     """Of the context views at their predicted cameras, then of the targets; if asked for."""
     objects: FoundObjects | None = None
@@ -89,6 +92,7 @@ def predict_by(
     pose_alignment_steps: int = 0,
     with_ids: bool = False,
     with_objects: bool = False,
+    with_instances_3d: bool = False,
     also_aligned: int = 0,
 ) -> Prediction:
     """Fit a method to the context views of a sample and render its scene at the targets.
@@ -101,6 +105,7 @@ def predict_by(
         pose_alignment_steps: See `camera_refinement.refined_cameras`; 0 leaves it out.
         with_ids: Also render the ids of the context views, for `rendered_ids`.
         with_objects: Also find the objects of the scene in the context views, for `objects`.
+        with_instances_3d: Also match groups to true instances in space.
         also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
 
     Raises:
@@ -124,6 +129,7 @@ def predict_by(
         objects = found_objects(
             scene.gaussians, scene.assignment, scene.cameras, height, width, near=NEAR, far=FAR
         )
+    solid = match_points(scene, sample, target_cameras) if with_instances_3d else None
 
     def fitted(steps: int) -> Prediction:
         at = refined_cameras(scene.gaussians, cameras, sample.target.images[0], steps=steps)
@@ -139,6 +145,7 @@ def predict_by(
             cost=scene.cost,
             picture_s=seconds / max(len(at.intrinsics), 1),
             images_depth_scaled=by_depth,
+            instances_3d=solid,
             rendered_ids=_rendered_ids(scene, contexts, seen, at),
             objects=objects,
         )

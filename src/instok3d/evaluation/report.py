@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from instok3d.evaluation.figures import MEANS, MEDIANS, OBJECTS, PICTURES, Figures
+from instok3d.evaluation.figures import MEANS, MEDIANS, OBJECTS, PICTURES, SOLID, Figures
 from instok3d.evaluation.run import EvaluationReport
 
 KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
@@ -33,9 +33,9 @@ _OBJECT_COLUMNS = ("objects per instance", "whole", "purity", "found", "small fo
 def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
     """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
 
-    `objects` has OBJECTS where they were asked for. Of captures it has CAPTURE_KEYS and `targets`,
-    `outlined_targets` (the target views behind AP), `captures` (the same of each capture) and
-    `aligned` (ALIGNED_KEYS and the `steps`, or null).
+    `objects` has OBJECTS and `instances_3d` SOLID where they were asked for. Of captures it has
+    CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP), `captures` (the
+    same of each capture) and `aligned` (ALIGNED_KEYS and the `steps`, or null).
 
     Args:
         report: What was measured.
@@ -61,6 +61,8 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
         }
     if report.settings.objects:
         result["objects"] = _known_as(figures, OBJECTS)
+    if report.settings.instances_3d:
+        result["instances_3d"] = _known_as(figures, SOLID)
     if details:
         result["details"] = {
             "settings": asdict(report.settings),
@@ -113,7 +115,8 @@ def notes(report: EvaluationReport) -> list[str]:
         f"{_text(figures.ap_scene_mean)} / {_text(figures.ap50_scene_mean)} / "
         f"{_text(figures.ap25_scene_mean)}; instances of at least 50 pixels "
         f"{_text(figures.ap_large)} / {_text(figures.ap50_large)} / "
-        f"{_text(figures.ap25_large)} (AP / AP50 / AP25)."
+        f"{_text(figures.ap25_large)} (AP / AP50 / AP25); over ScanNet's .50:.05:.90 "
+        f"AP is {_text(figures.ap_scannet)}."
     ]
     if figures.ap is None:
         lines = ["AP was not measured: the scenes have no instances that are known."]
@@ -125,6 +128,13 @@ def notes(report: EvaluationReport) -> list[str]:
     lines += _geometry_notes(report, word)
     if report.settings.objects:
         lines += _object_notes(figures)
+    if report.settings.instances_3d:
+        lines.append(
+            f"Instances in space: AP over .50:.05:.90 {_text(figures.ap_3d)}, AP50 "
+            f"{_text(figures.ap50_3d)}, AP25 {_text(figures.ap25_3d)}."
+        )
+    if figures.gaussians is not None:
+        lines.append(_cost_note(figures))
     if report.settings.disturb:
         lines.append(f"The context photos were disturbed: {report.settings.disturb}.")
     if report.settings.refine:
@@ -153,6 +163,15 @@ def _alignment_note(report: EvaluationReport) -> str:
     return (
         "Target cameras were refined against the target photos by "
         f"{report.settings.pose_alignment_steps} steps of pose alignment."
+    )
+
+
+def _cost_note(figures: Figures) -> str:
+    return (
+        f"A scene has {figures.gaussians:.0f} Gaussians, {figures.semantic_units:.0f} units with "
+        f"semantics, {figures.label_scalars:.0f} numbers for labels and "
+        f"{figures.feature_scalars:.0f} for features; it takes {figures.fit_s:.2f} s, a "
+        f"picture with its masks {1000 * (figures.picture_s or 0):.0f} ms."
     )
 
 
@@ -200,6 +219,7 @@ def results_header(report: EvaluationReport) -> str:
     """RESULTS_HEADER, with the word for what was measured, same ids for captures, and objects."""
     header = RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
     more = ["same id"] * report.of_captures + [*_OBJECT_COLUMNS] * report.settings.objects
+    more += ["AP 3D", "AP50 3D", "AP25 3D"] * report.settings.instances_3d
     columns = "".join(f" {name} |" for name in more)
     return header.replace("| groups |", f"| groups |{columns}") + "---|" * len(more)
 
@@ -258,7 +278,8 @@ def results_rows(
 
 def _keys(report: EvaluationReport) -> Sequence[str]:
     keys = CAPTURE_KEYS if report.of_captures else KEYS
-    return (*keys, *OBJECTS) if report.settings.objects else keys
+    keys = (*keys, *OBJECTS) if report.settings.objects else keys
+    return (*keys, *SOLID) if report.settings.instances_3d else keys
 
 
 def _cells(figures: Figures, keys: Sequence[str]) -> Sequence[str]:

@@ -53,6 +53,8 @@ class EvaluationSettings:
     """Also measure whether views agree on the objects that they show."""
     objects: bool = False
     """Also measure whether each thing is one whole object (`object_quality`)."""
+    instances_3d: bool = False
+    """Also match groups to the true instances in space (`instances_3d`)."""
     disturb: Disturbance | None = None
     """What is done to the context photos first; None leaves them as they are."""
 
@@ -214,6 +216,7 @@ def _predict(
         pose_alignment_steps=settings.pose_alignment_steps,
         with_ids=settings.id_agreement,
         with_objects=settings.objects,
+        with_instances_3d=settings.instances_3d,
         also_aligned=settings.also_aligned,
     )
 
@@ -263,6 +266,9 @@ def _score_model(
             for sample, prediction in pairs
             if prediction.objects is not None
         ),
+        instances_3d=tuple(each.instances_3d for each in predictions if each.instances_3d),
+        costs=tuple(each.cost for each in predictions),
+        picture_s=tuple(each.picture_s for each in predictions),
     )
 
 

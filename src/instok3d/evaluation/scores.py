@@ -12,6 +12,7 @@ from instok3d.data.sample import Sample
 from instok3d.evaluation.geometry_errors import camera_errors, depth_errors
 from instok3d.evaluation.image_quality import psnr, ssim
 from instok3d.evaluation.instance_ap import ApSettings, ImageMatches, PredictedMasks, match_image
+from instok3d.evaluation.methods import Cost
 from instok3d.evaluation.object_quality import ObjectScore
 from instok3d.objectives.lpips import Lpips
 from instok3d.types import Geometry
@@ -60,6 +61,13 @@ class SceneScore:
     """Of each sample: see `id_agreement.id_agreement`; None where no two views share a surface."""
     objects: tuple[ObjectScore | None, ...] = ()
     """Of each sample; None where no context view has a known id. Empty where nobody asked."""
+    instances_3d: tuple[ImageMatches, ...] = ()
+    """Of each sample with known instances and depth: see `instances_3d.match_points`. Empty where
+    nobody asked."""
+    costs: tuple[Cost, ...] = ()
+    """Of the scene of each sample."""
+    picture_s: tuple[float, ...] = ()
+    """Wall-clock seconds for one target view, of each sample."""
 
 
 @torch.no_grad()

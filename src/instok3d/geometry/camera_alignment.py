@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from instok3d.geometry.cameras import invert_rigid
+from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.similarity import align_cameras
 from instok3d.types import Cameras
 
@@ -74,3 +74,19 @@ def cameras_in_prediction(
     return Cameras(
         (cam_from_true @ invert_rigid(predicted_from_true)).to(intrinsics.dtype), intrinsics
     )
+
+
+def points_in_prediction(
+    points: Float[Tensor, "point 3"], *, predicted_context: Cameras, true_context: Cameras
+) -> Float[Tensor, "point 3"]:
+    """True points, expressed in the predicted world: what `cameras_in_prediction` does to cameras.
+
+    Args:
+        points: In the true world.
+        predicted_context: The context cameras that were predicted.
+        true_context: The same cameras, true.
+    """
+    predicted, true = predicted_context.cam_from_world, true_context.cam_from_world
+    scale = baseline_scale(predicted, true)
+    predicted_from_true = align_cameras(predicted.double(), true.double(), scale=scale)
+    return transform_points(predicted_from_true, points.double() / scale).to(points.dtype)
