@@ -32,7 +32,7 @@ class ToldTeacher:
     def features(self, images: Tensor) -> Tensor:
         pictures = self.scene.images.permute(0, 3, 1, 2).float() / 255
         frame = next(k for k, each in enumerate(pictures) if each.equal(images[0]))
-        places = true_classes(self.scene)[0, frame].clamp_min(0)
+        places = true_classes(self.scene.instances, self.scene.words)[0, frame].clamp_min(0)
         if self.always:
             places = torch.full_like(places, ROOM_CLASSES.index(self.always))
         return torch.eye(self.channels)[places].movedim(-1, 0)[None]
@@ -45,7 +45,7 @@ class ToldTeacher:
 
 
 def test_true_classes_of_pixels(scene: SceneFrames):
-    rooms, lsm = true_classes(scene)
+    rooms, lsm = true_classes(scene.instances, scene.words)
     ids = scene.instances
     assert (rooms[ids == 1] == ROOM_CLASSES.index("armchair")).all()
     assert (lsm[ids == 1] == LSM_CLASSES.index("chair")).all()

@@ -4,7 +4,7 @@ Every pixel has the class whose phrase is nearest to its feature. LSM's eight cl
 that: "other" is what is nearest to a class of the rooms that none of the seven stands for.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from instok3d.data.scenes import SceneFrames
+from instok3d.data.words import ObjectWords
 from instok3d.evaluation.confusion import Confusion
 from instok3d.semantics.classes import LSM_CLASSES, LSM_OF_ROOM, PHRASES, ROOM_CLASSES, lsm_class
 from instok3d.semantics.predictor import classification
@@ -46,15 +47,17 @@ class SemanticQuality:
         return "\n".join(lines) + "\n"
 
 
-def true_classes(scene: SceneFrames) -> Int[Tensor, "kind frame height width"]:
+def true_classes(
+    instances: Int[Tensor, "view height width"], words: Mapping[int, ObjectWords]
+) -> Int[Tensor, "kind view height width"]:
     """The class of each pixel in ROOM_CLASSES (row 0) and in LSM_CLASSES (row 1); -1 if unknown.
 
     A class that the rooms do not have is -1 in the first and "other" in the second.
     """
-    ids, places = scene.instances.unique(return_inverse=True)
+    ids, places = instances.unique(return_inverse=True)
     found = torch.full((2, len(ids)), -1)
     for place, number in enumerate(ids.tolist()):
-        label = scene.words[number].label if number in scene.words else ""
+        label = words[number].label if number in words else ""
         if label:
             found[0, place] = ROOM_CLASSES.index(label) if label in ROOM_CLASSES else -1
             found[1, place] = lsm_class(label)
@@ -87,7 +90,9 @@ def measure_teacher(teacher: Teacher, scenes: Iterable[SceneFrames]) -> Semantic
     for scene in scenes:
         images = scene.images.permute(0, 3, 1, 2).float() / 255
         size = (images.shape[-2], images.shape[-1])
-        for image, in_rooms, in_lsm in zip(images, *true_classes(scene), strict=True):
+        for image, in_rooms, in_lsm in zip(
+            images, *true_classes(scene.instances, scene.words), strict=True
+        ):
             features = teacher.features(image[None])
             found = nearest_class(features, phrases.to(features), size)[0].cpu()
             rooms.add(in_rooms, found)
