@@ -19,11 +19,13 @@ from instok3d.semantics.model import SemanticModel
 from instok3d.semantics.predictor import Predictor, PredictorConfig
 from instok3d.semantics.query.shipped import load_encoder
 from instok3d.semantics.teachers.file import teacher_tensors
+from instok3d.semantics.teachers.opening import open_teacher
 from instok3d.semantics.teachers.rooms import RoomTeacher
 from instok3d.semantics.text import quantized
 from instok3d.semantics.tokens import SemanticTokensConfig
 from instok3d.types import Views
 from made_model import made_model, made_photos
+from tiny_teachers import write_tiny_dino
 
 CHANNELS = 12
 SIZES = PredictorConfig(
@@ -115,12 +117,56 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path):
     with pytest.raises(FileNotFoundError, match="there are no semantics"):
         find_lifting(tmp_path / "none.safetensors", tokenizer, default=True)
     made_semantics_file(folder / "model.safetensors", tmp_path / "other.safetensors", "other")
-    with pytest.raises(ValueError, match="lifts features of 'other' but holds the encoder 'rooms"):
+    with pytest.raises(ValueError, match="lifts features of 'other', got the encoder 'rooms"):
         find_lifting(tmp_path / "other.safetensors", tokenizer, default=False)
     with torch.no_grad():
         next(iter(tokenizer.parameters())).add_(1)
     with pytest.raises(ValueError, match="belongs to another model"):
         find_lifting(folder / "semantics.safetensors", tokenizer, default=False)
+
+
+def dino_semantics(folder: Path, path: Path) -> str:
+    """Semantics that lift features of a tiny DINO, whose weights stay outside; how it is named."""
+    weights = write_tiny_dino(path.parent / "tiny-dino")
+    teacher = open_teacher(f"dino:{weights}")
+    tokenizer = load_model(folder / "model.safetensors")
+    config = SemanticTokensConfig(
+        feature_channels=teacher.channels, residual_channels=2, group_layers=1
+    )
+    save_semantics(
+        SemanticModel(tokenizer, config), path, encoder=teacher.name, card={},
+        tokenizer_sha256=tokenizer_digest(tokenizer),
+    )  # fmt: skip
+    return f"dino:{weights}"
+
+
+def test_an_encoder_of_others_lends_its_features_from_its_own_weights(folder: Path, tmp_path: Path):
+    pytest.importorskip("transformers")
+    path = tmp_path / "semantics.safetensors"
+    teacher = dino_semantics(folder, path)
+    with pytest.warns(UserWarning, match=r"no names: .* knows images alone"):
+        scene = made(folder, path, teacher=teacher, refine=0)
+    ((name, one),) = scene.semantics.items()
+    assert name == open_teacher(teacher).name
+    assert one.shared.flatten(1).any(dim=1).all()
+    assert [item.key for item in scene.objects] == [f"object#{item.id}" for item in scene.objects]
+
+
+def test_an_encoder_that_is_not_in_the_file_has_to_be_given(folder: Path, tmp_path: Path):
+    pytest.importorskip("transformers")
+    path = tmp_path / "semantics.safetensors"
+    teacher = dino_semantics(folder, path)
+    tokenizer = load_model(folder / "model.safetensors")
+    with pytest.raises(ValueError, match="does not hold that encoder: give its weights"):
+        find_lifting(path, tokenizer, default=False)
+    own = folder / "semantics.safetensors"
+    with pytest.raises(ValueError, match=r"'rooms-made', got the encoder .*weights that it was"):
+        find_lifting(own, tokenizer, default=False, teacher=teacher)
+    with pytest.raises(ValueError, match="goes with a file of semantics, got semantics 'auto'"):
+        find_lifting("auto", tokenizer, default=True, teacher=teacher)
+    same = find_lifting(own, tokenizer, default=False, teacher=f"rooms:{own}")
+    assert same is not None
+    assert same.encoder.teacher.name == "rooms-made"
 
 
 def test_the_default_model_alone_has_what_comes_with_it(

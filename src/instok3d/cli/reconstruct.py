@@ -24,6 +24,7 @@ def run(
     refine: int | None = None,
     clean_up: bool = True,
     semantics: str = "auto",
+    teacher: str | None = None,
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -54,6 +55,7 @@ def run(
             --no-clean-up leaves the model's groups as they are.
         semantics: What names the objects and lets them be searched: auto, the encoder that comes
             with the default model; none; or a file that `instok3d train export` wrote for --model.
+        teacher: The 2D encoder of that file, such as lseg:FILE, where the file does not hold it.
         keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
             second one ends the command.
         max_views: Of more photos, this many are chosen to cover all.
@@ -68,7 +70,7 @@ def run(
     make_scene(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
         geometry=geometry, allow_outside=allow_outside, up=up, model=model, refine=refine,
-        clean_up=clean_up, semantics=semantics, keep_interrupted=keep_interrupted,
+        clean_up=clean_up, semantics=semantics, teacher=teacher, keep_interrupted=keep_interrupted,
         max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
         timings=timings,
     )  # fmt: skip
@@ -86,6 +88,7 @@ def make_scene(
     refine: int | None = None,
     clean_up: bool = True,
     semantics: str = "auto",
+    teacher: str | None = None,
     keep_interrupted: bool = False,
     max_views: int = 16,
     seed: int = 0,
@@ -112,7 +115,7 @@ def make_scene(
             scene = reconstruct(
                 photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside, up=up,
                 model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
-                clean_up=clean_up, semantics=semantics,
+                clean_up=clean_up, semantics=semantics, teacher=teacher,
                 max_views=max_views, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
         with plain_warnings():

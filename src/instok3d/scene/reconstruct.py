@@ -53,6 +53,7 @@ def reconstruct(
     refine: int = DEFAULT_STEPS,
     clean_up: bool = True,
     semantics: str | Path = AUTO,
+    teacher: str | None = None,
     max_views: int = 16,
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
@@ -92,6 +93,7 @@ def reconstruct(
         clean_up: Join groups that hold one thing, and give loose pieces to what surrounds them.
         semantics: What names the objects and lets them be searched: "auto", the encoder that comes
             with the default model; "none"; or a file that `train export` wrote for this model.
+        teacher: The 2D encoder of that file, such as "lseg:FILE", where the file does not hold it.
         max_views: Of more photos, this many are chosen to cover all.
         device: Where the model runs; the scene comes back on the CPU.
         progress: Called with the name of each stage as it begins, and behind a colon with how far
@@ -132,7 +134,7 @@ def reconstruct(
             first=source.work(work.views) if isinstance(source, GeometrySource) else None,
         )  # fmt: skip
     tokenizer = model if isinstance(model, Tokenizer) else read_model(path)
-    lifting = find_lifting(semantics, tokenizer, default=model is None)
+    lifting = find_lifting(semantics, tokenizer, default=model is None, teacher=teacher)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)

@@ -107,6 +107,16 @@ def load_teacher(path: Path, device: torch.device | str = "cpu") -> RoomTeacher:
     return teacher
 
 
+def holds_encoder(path: Path) -> bool:
+    """Whether a file of semantics has the embedded teacher in it; others' weights stay outside.
+
+    Raises:
+        ValueError: The file is damaged.
+    """
+    with naming_damage(path, REMEDY), safe_open(path, "pt") as file:
+        return RECORD in (file.metadata() or {})
+
+
 def _table(own: Mapping[str, Tensor], record: Mapping[str, Any]) -> TextTable:
     rows, scales = own["table.rows"], own["table.scales"]
     vocabulary = tuple(text(piece) for piece in record["vocabulary"])
