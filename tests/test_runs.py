@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -133,6 +134,47 @@ def test_training_for_real_photos_goes_on_and_keeps_what_is_done(tmp_path: Path)
     assert not any("export" in words or words[0].endswith("weights.py") for words in commands)
     hard = [words for words in commands if "hard" in words]
     assert [words[words.index("--refine") + 1] for words in hard] == ["100"]
+
+
+@pytest.mark.parametrize("mode", [[], ["--small"]])
+def test_semantics_are_made_in_order_and_by_commands_that_exist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: list[str]
+):
+    monkeypatch.setenv("MINILM", str(tmp_path))
+    commands = recorded(tmp_path, "semantics.sh", *mode)
+    kinds = [
+        Path(words[0]).name if words[0].endswith(".py") else " ".join(words[:2])
+        for words in commands
+    ]
+    assert kinds == [
+        "data rooms", "data rooms", "data rooms", "text_table.py", "teacher.py",
+        "train nano-semantics", "train export", "query_table.py", "semantic_table.py",
+        "query_table.py", "query_table.py", "query_table.py",
+    ]  # fmt: skip
+    for words in commands:
+        if words[0].endswith(".py"):
+            known = Path(words[0]).read_text(encoding="utf-8")
+            options = [word for word in words if re.fullmatch("-{1,2}[a-z][a-z-]*", word)]
+            assert [option for option in options if f'"{option}"' not in known] == [], words
+        else:
+            with monkeypatch.context() as patch:
+                assert parses(words, patch), words
+    fitted = commands[7]
+    assert fitted[-1] == "--write"
+    assert fitted[fitted.index("--semantics") + 1] == commands[6][commands[6].index("-o") + 1]
+
+
+def test_semantics_are_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("MINILM", str(tmp_path))
+    folder = tmp_path / "my run"
+    (folder / "distillation" / "checkpoints").mkdir(parents=True)
+    (folder / "distillation" / "checkpoints" / "step_00000100.pt").touch()
+    for name in ("table.safetensors", "semantics.safetensors", "lifting.md", "queries-4.md"):
+        (folder / name).touch()
+    commands = recorded(tmp_path, "semantics.sh")
+    assert [words[1] for words in commands if "--resume" in words] == ["nano-semantics"]
+    scripts = [Path(words[0]).name for words in commands if words[0].endswith(".py")]
+    assert scripts == ["teacher.py", "query_table.py", "query_table.py"]
 
 
 def test_catalogues_are_for_the_rooms_of_level_real(
