@@ -77,7 +77,7 @@ def test_the_table_of_commands_names_all_of_them():
 
 
 @pytest.mark.parametrize("code", blocks(README, "python"), ids=lambda code: code.split()[1])
-@pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
+@pytest.mark.filterwarnings("ignore:.*trained on rendered rooms alone")
 def test_the_python_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     made_photos(tmp_path / "photos")
     model = made_model(tmp_path / "model.safetensors")

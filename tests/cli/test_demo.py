@@ -11,9 +11,9 @@ def test_demo_finds_objects_in_the_shipped_photos(shipped_demo: ShippedDemo):
     made = shipped_demo.made
     assert {"geometry", "tokens", "previews"} <= made["timings_s"].keys()
     assert len(made["objects"]) >= 3
-    assert shipped_demo.notes.count("its results on real photos are poor") == 1
+    assert shipped_demo.notes.count("trained on rendered rooms alone") == 1
     scene = instok3d.load(shipped_demo.scene)
-    assert any("results on real photos are poor" in line for line in scene.warnings)
+    assert any("trained on rendered rooms alone" in line for line in scene.warnings)
     difference = scene.render().colors - scene.photos.permute(0, 3, 1, 2) / 255
     assert float(-10 * difference.square().mean().log10()) > 15
 

@@ -69,13 +69,13 @@ def test_examples_are_numbered_and_say_how_they_are_called():
 
 @pytest.mark.usefixtures("small_model")
 def test_reconstruct(tmp_path: Path, run: Run):
-    with pytest.warns(UserWarning, match="its results on real photos are poor"):
+    with pytest.warns(UserWarning, match="trained on rendered rooms alone"):
         run("00_reconstruct", made_photos(tmp_path / "in"), "a.itk")
     assert Path("a.itk/scene.json").is_file()
 
 
 @pytest.mark.usefixtures("small_model")
-@pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
+@pytest.mark.filterwarnings("ignore:.*trained on rendered rooms alone")
 def test_without_arguments_they_make_the_scene_of_the_demo_once_and_say_so(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ):
@@ -180,7 +180,7 @@ def test_the_hole_of_the_demos_chair_is_drawn_in_each_photo(shipped_demo: Shippe
 
 
 @pytest.mark.usefixtures("small_model")
-@pytest.mark.filterwarnings("ignore:.*results on real photos are poor")
+@pytest.mark.filterwarnings("ignore:.*trained on rendered rooms alone")
 def test_without_arguments_another_room_is_made_to_take_an_object_from(
     shipped_demo: ShippedDemo, run: Run
 ):

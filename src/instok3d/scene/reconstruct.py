@@ -30,7 +30,8 @@ from instok3d.scene.vertical import given_up
 from instok3d.version import generator
 
 TRAINED_ON_ROOMS = (
-    "the default model was trained on rendered rooms alone: its results on real photos are poor"
+    "the default model was trained on rendered rooms alone: of real photos it finds fewer objects "
+    "whole and blurs more (figures: docs/results.md, Captures of real rooms)"
 )
 IMAGE_SIDE = 128
 """Pixels of a square view, for models whose card does not say `image_side`."""
