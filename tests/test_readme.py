@@ -83,6 +83,7 @@ def test_the_python_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     model = made_model(tmp_path / "model.safetensors")
     for module in ("instok3d.scene.reconstruct", "instok3d.model.files"):
         monkeypatch.setattr(f"{module}.DEFAULT_MODEL", model)
+    monkeypatch.setattr("instok3d.scene.lifting.SHIPPED", tmp_path / "none")  # of another model
     monkeypatch.chdir(tmp_path)
     # In the folder where the commands above it have run.
     commands = [our_words(words) for words in command_lines(section("Your photos"))]
