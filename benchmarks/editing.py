@@ -3,7 +3,8 @@
     python benchmarks/editing.py [--gaussians N] [--views N] [--repeats N]
 
 The scene is made of clusters of Gaussians at random above a floor; times are medians in
-milliseconds of processor time, on one thread. The goals are 20 ms for remove and move, and 1 s for remove with claim and fill.
+milliseconds of processor time, on one thread. The goals are 20 ms for remove and move, and 1 s for
+remove with claim and fill.
 """
 
 import argparse
