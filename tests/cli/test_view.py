@@ -49,6 +49,11 @@ def test_it_prints_an_address_that_opens_and_ends_well_by_ctrl_c(room: Path):
         (["ROOM", "nowhere.itk"], "nowhere.itk"),
         (["ROOM", "--host", "0.0.0.0"], "--host 0.0.0.0 lets other machines in: give a --token"),
         (["ROOM", "--token", "short"], "the token must be 16 to 128 letters"),
+        (
+            ["ROOM", "--upload-limit", "-1"],
+            "--upload-limit must be megabytes, 0 (no uploads) or mo",
+        ),
+        (["ROOM", "--upload-limit", "nan"], "or more, got nan"),
         (["ROOM", "--port", "70000"], "port must be 0 (any) or up to 65535, got 70000"),
     ],
 )

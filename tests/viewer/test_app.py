@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from browser import PATIENCE_MS, browser
+from instok3d.formats.registry import ExportOptions, export_scene
 from instok3d.pictures import color_picture
 from instok3d.scene.scene import Scene
 from instok3d.types import Cameras
@@ -18,7 +20,7 @@ from splat_scenes import furnished_scene
 
 pytest.importorskip("viser", reason="needs viser: '.[view]'")
 
-ENLARGED = 3
+ENLARGED, UPLOAD_LIMIT = 3, 100_000
 NASTY = "<img src=http://evil.example/x onerror=window.broken=1> ![x](http://evil.example/y)"
 
 
@@ -29,7 +31,8 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def viewer(scene: Scene) -> Iterator[Viewer]:
-    shown = view(scene, port=0, others={"other.itk": made_scene(made_tokens())})
+    others = {"other.itk": made_scene(made_tokens())}
+    shown = view(scene, port=0, others=others, upload_limit_bytes=UPLOAD_LIMIT)
     yield shown
     shown.stop()
 
@@ -207,3 +210,37 @@ def test_a_name_is_text_and_what_cannot_be_done_is_said(page: Any, viewer: Viewe
     page.get_by_text(f"{NASTY}#2", exact=True).first.wait_for()
     assert page.evaluate("() => window.broken === undefined")
     assert page.locator("img[src*=evil]").count() == 0
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_an_object_of_a_file_that_was_sent_is_inserted(
+    page: Any, viewer: Viewer, scene: Scene, tmp_path: Path
+):
+    sent = tmp_path / f"{NASTY[:4]}sofa.ply"
+    export_scene(furnished_scene(60), sent, ExportOptions())
+    click(page, 10, 14)
+    until(page, lambda: viewer._session.shown.selected == {1})
+    page.locator("input[type=file]").set_input_files(str(sent))
+    until(page, lambda: sent.name in viewer._session.others)
+    page.get_by_role("combobox", name="From").and_(
+        page.locator(f"[value='{sent.name}']")
+    ).wait_for()
+    press(page, "Insert where clicked")
+    until(page, lambda: len(viewer.scene.objects) == 3)
+    assert viewer.scene.objects[-1].num_gaussians == 60
+    viewer._do(viewer._session.select, None)
+    until(page, lambda: psnr(drawn(viewer, scene), expected(viewer.scene)) > 40)
+
+
+def test_a_file_that_is_damaged_or_too_large_is_refused_with_its_name(
+    page: Any, viewer: Viewer, tmp_path: Path
+):
+    before, chooser = dict(viewer._session.others), page.locator("input[type=file]")
+    (tmp_path / "broken.ply").write_bytes(b"nonsense")
+    chooser.set_input_files(str(tmp_path / "broken.ply"))
+    page.get_by_text("broken.ply is no").wait_for()
+    (tmp_path / "great.ply").write_bytes(bytes(UPLOAD_LIMIT + 1))
+    chooser.set_input_files(str(tmp_path / "great.ply"))
+    page.get_by_text("great.ply: 100,001 bytes are more than the 100,000").wait_for()
+    assert viewer._session.others == before
+    assert not viewer._server.gui._current_file_upload_states

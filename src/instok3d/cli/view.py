@@ -1,5 +1,6 @@
 """`instok3d view`: a scene in the browser, to look at and to edit."""
 
+import math
 import signal
 import sys
 import threading
@@ -20,6 +21,7 @@ def run(
     port: int = 8080,
     token: str | None = None,
     open: bool = False,
+    upload_limit: float = 256.0,
 ) -> None:
     """Show a scene in the browser, to look at and to edit; Ctrl-C ends it.
 
@@ -33,6 +35,8 @@ def run(
         port: The first free one from this on is taken; 0 takes any.
         token: Part of the address, 16 characters or more; a random one without it.
         open: Open the address in a browser.
+        upload_limit: Megabytes of a file that the browser may send to insert objects from; 0 turns
+            that off.
     """
     import webbrowser
 
@@ -43,9 +47,14 @@ def run(
     from instok3d.viewer.folder import SceneFolder
     from instok3d.viewer.guard import is_loopback
     from instok3d.viewer.serving import require_viser
+    from instok3d.viewer.uploads import MEGABYTE
 
     if not scenes:
         raise ValueError("no scene was named: give a scene folder, such as room.itk")
+    if not (math.isfinite(upload_limit) and upload_limit >= 0):
+        raise ValueError(
+            f"--upload-limit must be megabytes, 0 (no uploads) or more, got {upload_limit:g}"
+        )
     if not is_loopback(host):
         if token is None:
             raise ValueError(
@@ -64,6 +73,7 @@ def run(
         viewer = view(
             folder.opened, folder=None if read_only else folder, others=others,
             host=host, port=port, token=token, title=scenes[0].resolve().name,
+            upload_limit_bytes=round(upload_limit * MEGABYTE),
         )  # fmt: skip
         try:
             print(f"{viewer.url}\nCtrl-C ends the viewer", flush=True)

@@ -25,6 +25,7 @@ from instok3d.viewer.picking import pick
 from instok3d.viewer.picture import Picture
 from instok3d.viewer.serving import serve, stop_serving
 from instok3d.viewer.session import Session
+from instok3d.viewer.uploads import LIMIT_MB, MEGABYTE
 
 EXPECTED = (KeyError, ValueError, OSError, ModuleNotFoundError, MemoryError)
 """What a person at the viewer can get wrong, and what this machine may lack."""
@@ -36,12 +37,24 @@ TOLD_S = 10.0
 class Viewer:
     """A running viewer; ends with `stop` or with the program."""
 
-    def __init__(self, session: Session, *, host: str, port: int, token: str | None, title: str):
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str,
+        port: int,
+        token: str | None,
+        title: str,
+        upload_limit_bytes: int,
+    ) -> None:
         """Start it; see `view`."""
         self._session = session
         self._lock = threading.RLock()
         self._stopped = False
-        self._server, self._guard = serve(host, port, token, title=title, hover=self._name_at)
+        self._server, self._guard = serve(
+            host, port, token, title=title, hover=self._name_at,
+            upload_limit_bytes=upload_limit_bytes,
+        )  # fmt: skip
         self._set_first_camera()
         self._picture = Picture(
             self._server, session.shown, stand_at=self._stand_all_at, moved=self._moved
@@ -49,6 +62,7 @@ class Viewer:
         self._panel = Panel(
             self._server, session, do=self._do, stand_at=self._stand_at, compare=self._compare,
             show_photos=self._picture.show_photos, use_gizmo=self._use_gizmo, export=self._export,
+            upload_limit_bytes=upload_limit_bytes,
         )  # fmt: skip
         self._server.scene.on_click()(lambda event: self._clicked(event, add=False))
         self._server.scene.on_click(modifier="cmd/ctrl")(
@@ -190,6 +204,7 @@ def view(
     port: int = 8080,
     token: str | None = None,
     title: str = "InsTok3D",
+    upload_limit_bytes: int = LIMIT_MB * MEGABYTE,
 ) -> Viewer:
     """Show a scene in the browser; returns at once.
 
@@ -201,11 +216,19 @@ def view(
         port: The first free one from this on is taken; 0 takes any.
         token: Of the address; None makes a random one.
         title: At the head of the panel.
+        upload_limit_bytes: Of a file that a browser may send to insert objects from; 0: none.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
-        ValueError: A bad token, or no such address or port.
+        ValueError: A bad token, no such address or port, or a limit below 0.
     """
+    if upload_limit_bytes < 0:
+        raise ValueError(
+            f"the upload limit must be 0 (no uploads) or more, got {upload_limit_bytes}"
+        )
     encoder = shipped_encoder(scene.semantics) if scene.semantics else None
     session = Session(scene, folder=folder, others=others, encoder=encoder)
-    return Viewer(session, host=host, port=port, token=token, title=title)
+    return Viewer(
+        session, host=host, port=port, token=token, title=title,
+        upload_limit_bytes=upload_limit_bytes,
+    )  # fmt: skip

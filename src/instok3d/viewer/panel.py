@@ -13,6 +13,7 @@ from instok3d.scene.edits.disclosure import edited_words
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
 from instok3d.viewer.session import Session
+from instok3d.viewer.uploads import accepted, shown_name, taken_from, uploaded_scene
 from instok3d.webpage.page import size_words, thumbnail
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ class Panel:
         show_photos: Callable[[bool], None],
         use_gizmo: Callable[[bool], None],
         export: Callable[[str, bool, Any], None],
+        upload_limit_bytes: int = 0,
     ) -> None:
         """Add the widgets.
 
@@ -53,6 +55,7 @@ class Panel:
             show_photos: Shows the photos' cameras, or hides them.
             use_gizmo: Puts the gizmo on what is selected, or takes it away.
             export: Sends a client a file of this ending, of what is selected alone if so wanted.
+            upload_limit_bytes: Of a file to insert from; 0: none can be sent.
         """
         self._gui, self._session, self._do = server.gui, session, do
         self._thumbnails: dict[tuple[int, int], str] = {}
@@ -66,8 +69,8 @@ class Panel:
         if session.can_search:
             self._add_search()
         self._add_edits(use_gizmo)
-        if session.others:
-            self._add_insertion()
+        if session.others or upload_limit_bytes:
+            self._add_insertion(upload_limit_bytes)
         if session.scene.views:
             self._add_photos(stand_at, compare, show_photos)
         self._add_output(export)
@@ -180,17 +183,33 @@ class Panel:
             label = self._gui.add_text("Name", "")
             self._button("Rename", lambda: session.rename(label.value))
 
-    def _add_insertion(self) -> None:
+    def _add_insertion(self, upload_limit_bytes: int) -> None:
         session = self._session
         with self._gui.add_folder("Insert"):
-            names = tuple(session.others)
-            other = self._gui.add_dropdown("From", names)
-            which = self._gui.add_dropdown("Object", keys_of(session.others[names[0]]))
+            other = self._gui.add_dropdown("From", tuple(session.others) or (NONE,))
+            which = self._gui.add_dropdown("Object", (NONE,))
 
-            @other.on_update
-            def _(_: object) -> None:
-                which.options = keys_of(session.others[other.value])
+            def show_objects() -> None:
+                if other.value in session.others:
+                    which.options = keys_of(session.others[other.value])
 
+            show_objects()
+            other.on_update(lambda _: show_objects())
+
+            def add(file: Any) -> None:
+                scene = uploaded_scene(file.name, file.content, upload_limit_bytes)
+                name = session.add_other(shown_name(file.name), scene)
+                other.options, other.value = tuple(session.others), name
+                show_objects()
+
+            if upload_limit_bytes:
+                send = self._gui.add_upload_button(
+                    "Add a file", mime_type=accepted(),
+                    hint=f"Gaussians, or a zipped scene folder, up to {upload_limit_bytes:,} bytes",
+                )  # fmt: skip
+                send.on_upload(lambda event: self._do(
+                    lambda: add(taken_from(event.target)), event.client
+                ))  # fmt: skip
             self._button(
                 "Insert where clicked", lambda: session.insert(other.value, which.value),
                 "It stands on the object that was clicked last",

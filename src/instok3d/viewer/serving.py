@@ -2,7 +2,7 @@
 
 viser gives no hook for checks, so its function for incoming requests is wrapped when it opens its
 port: pages and websockets pass `Guard` first, and answers get headers that keep the page to
-itself. What it would offer beyond that is taken away: its public tunnel and uploads.
+itself. Its public tunnel is taken away, and uploads pass `UploadGate`.
 """
 
 import asyncio
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 from instok3d.viewer.guard import Guard, random_token
+from instok3d.viewer.uploads import UploadGate
 
 if TYPE_CHECKING:
     import viser
@@ -48,6 +49,7 @@ def serve(
     *,
     title: str,
     hover: Callable[[float, float], str],
+    upload_limit_bytes: int = 0,
 ) -> tuple["viser.ViserServer", Guard]:
     """An empty viser server, and who may talk to it.
 
@@ -57,6 +59,7 @@ def serve(
         token: None makes a random one.
         title: Shown at the head of the panel.
         hover: What the picture shows at x, y in [0, 1], in words; empty for nothing.
+        upload_limit_bytes: Of a file that a browser may send; 0: none.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
@@ -85,6 +88,10 @@ def serve(
         _messages.FileTransferPart,
     ):
         sockets.unregister_handler(message)
+    if upload_limit_bytes:
+        gate = UploadGate(server.gui, upload_limit_bytes)
+        sockets.register_handler(_messages.FileTransferStartUpload, gate.start)
+        sockets.register_handler(_messages.FileTransferPart, gate.part)
     return server, guard
 
 

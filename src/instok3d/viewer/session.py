@@ -20,6 +20,9 @@ from instok3d.semantics.query.encoder import QueryEncoder
 from instok3d.viewer.folder import SceneFolder
 from instok3d.viewer.picking import Picked, pick
 
+MOST = 8
+"""Scenes that can be added to insert from, since they stay in memory."""
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -64,6 +67,7 @@ class Session:
         self._lock = threading.RLock()
         self._neighbours: tuple[Scene | None, dict[int, tuple[Neighbour, ...]]] = None, {}
         self.others = dict(others)
+        self._num_added = 0
 
     @property
     def shown(self) -> Shown:
@@ -304,6 +308,25 @@ class Session:
         on = place.object if place.object in known_ids else None
         source = self.others[other]
         self.edit(lambda scene: scene.insert(source, which, place.point, on=on, scale=scale))
+
+    def add_other(self, name: str, scene: Scene) -> str:
+        """A scene to insert from besides the others; the name that it gets.
+
+        Raises:
+            ValueError: It has no objects, or as many as there may be were added before.
+        """
+        with self._lock:
+            if not scene.objects:
+                raise ValueError(f"{name} has no objects that could be inserted")
+            if self._num_added >= MOST:
+                raise ValueError(f"{MOST} files were added before: start the viewer anew")
+            count, free = 1, name
+            while free in self.others:
+                count += 1
+                free = f"{name} ({count})"
+            self.others[free] = scene
+            self._num_added += 1
+            return free
 
     def undo(self) -> None:
         """Take the last edit back."""
