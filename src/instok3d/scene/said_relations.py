@@ -51,7 +51,7 @@ def said_relations(boxes: UprightBoxes, walls: Bool[Tensor, " object"]) -> tuple
     """
     if len(boxes.low) < 2:
         return ()
-    rooms, thin = _rooms(boxes), _thin(boxes.size)
+    rooms, thin = surrounding(boxes), _thin(boxes.size)
     low = boxes.size[:, 2] < LOW * boxes.size[:, :2].amax(dim=1)
     walls = (walls | thin) & ~rooms
     things = ~rooms & ~walls
@@ -108,7 +108,7 @@ def _level_shares(boxes: UprightBoxes) -> Float[Tensor, "object object"]:
     return ((high - low).clamp_min(0) / own).clamp(max=1).prod(dim=-1)
 
 
-def _rooms(boxes: UprightBoxes) -> Bool[Tensor, " object"]:
+def surrounding(boxes: UprightBoxes) -> Bool[Tensor, " object"]:
     """Which things reach around the middles of most others, seen from above, three at least."""
     middle = boxes.center[:, None, :2]
     within = (middle >= boxes.low[None, :, :2]) & (middle <= boxes.high[None, :, :2])

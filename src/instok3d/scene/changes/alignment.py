@@ -235,10 +235,10 @@ def on_surfaces(
         return torch.full((len(points.points),), math.inf, dtype=torch.float64)
     count = min(8, len(there))
     distance, index = KDTree(there.numpy()).query(
-        points.points.numpy(), k=[*range(1, count + 1)], distance_upper_bound=SPARSE * near
+        points.points.numpy(), k=count, distance_upper_bound=SPARSE * near
     )
-    reached = torch.from_numpy(distance)
-    place = torch.from_numpy(index).clamp_max(len(there) - 1)
+    reached = torch.from_numpy(distance).reshape(-1, count)  # of one neighbour it has no column
+    place = torch.from_numpy(index).reshape(-1, count).clamp_max(len(there) - 1)
     reached = torch.where(reached < reach[place], reached, math.inf)
     alike = (colors[place] - points.point_colors[:, None]).norm(dim=2) < 1.5 * COLOR_SPREAD
     return torch.where(alike, reached, math.inf).amin(dim=1)
