@@ -13,7 +13,7 @@ ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files"
          "transformers_models", "binary_gltf", "pictures", "geometry", "render", "photos", "sfm",
          "data", "rooms", "datasets", "weights", "backbones", "model", "semantics", "objectives",
          "refinement", "scene", "webpage", "formats", "library", "batch", "evaluation",
-         "training", "baselines", "viewer", "cli"]  # fmt: skip
+         "training", "baselines", "viewer", "service", "cli"]  # fmt: skip
 
 FOR_PEOPLE = {"scene/scene.py": {"viewer"}}
 """Imported late by a method that only people call: `scene.view()`."""

@@ -26,6 +26,7 @@ COMMANDS = {
     "query": "objects of a scene by a text or a picture",
     "edit": "objects removed, moved, inserted, merged; undo and redo",
     "view": "a scene in the browser, to look at and to edit",
+    "serve": "scenes for robots and assistants, over HTTP and MCP",
     "render": "pictures or a film of a scene",
     "export": "a scene as files that other programs open",
     "import": "a scene from a file of Gaussians",

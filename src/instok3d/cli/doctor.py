@@ -23,6 +23,7 @@ OPTIONAL = {
     "zstandard": ("formats", "reading .spz of version 4"),
     "pxr": ("usd", "writing .usdz"),
     "viser": ("view", "looking at scenes in the browser"),
+    "mcp": ("serve", "scenes for robots and assistants"),
     "pymilvus": ("search", "libraries of scenes on a Milvus server"),
 }
 """Modules of optional packages: the extra that brings each, and what it is for."""
