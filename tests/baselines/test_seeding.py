@@ -67,6 +67,15 @@ def test_a_hidden_point_takes_no_vote_of_what_hides_it():
     assert labels.tolist() == [7, 9, 0, 0, 0]
 
 
+def test_one_vote_for_a_thing_counts_more_than_any_for_none():
+    shown = two_views()
+    assert shown.masks is not None
+    seen_by_both = world_points(shown)[1, 4, 0][None]
+    masks = shown.masks.clone()
+    masks[1] = 0
+    assert voted_labels(seen_by_both, Shown(shown.views, masks)).tolist() == [9]
+
+
 def test_ids_of_no_thing_do_not_vote_and_no_point_has_no_label():
     shown = two_views()
     assert shown.masks is not None

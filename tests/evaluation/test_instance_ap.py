@@ -236,3 +236,12 @@ def test_published_panels_rank_as_the_published_table(shared):
     )
     assert ours > 0.5 > max(objectgs, grouping)
     assert min(objectgs, grouping) > 0.15 > ludvig
+
+
+def test_the_thresholds_of_scannet_end_at_ninety_percent():
+    true_ids = np.ones((10, 10), dtype=np.int64)
+    ids = np.zeros((10, 10), dtype=np.int64)
+    ids[0, :8] = -1  # 92 of 100 pixels: found at .50 to .90, not at .95
+    found = average_precision([match_image(true_ids, PredictedMasks(ids, np.ones(1)))])
+    assert found.ap == pytest.approx(0.9)
+    assert found.ap_scannet == 1.0

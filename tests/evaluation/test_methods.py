@@ -7,6 +7,7 @@ from flat_rooms import oracle
 from instok3d.evaluation.methods import Cost, FittedScene, Method, Seen, Shown, show
 from instok3d.evaluation.prediction import predict_by
 from instok3d.evaluation.protocols import ProtocolScene
+from instok3d.evaluation.report import as_table
 from instok3d.evaluation.run import EvaluationSettings, evaluate
 from instok3d.evaluation.tokenizer_method import TokenizerMethod
 
@@ -105,3 +106,13 @@ def test_any_method_is_measured_by_the_protocols(flat_sample):
         evaluate(method, scenes, protocol="rooms-2view", model_name="flat")
     with pytest.raises(ValueError, match="needs masks"):
         evaluate(method, scenes, given, protocol="rooms-2view", model_name="flat")
+
+
+def test_a_report_says_what_a_scene_costs_and_whose_instances_are_missing(flat_sample):
+    scenes = [ProtocolScene("7", "easy", (flat_sample,))]
+    method = Flat(flat_sample, frozenset({"cameras"}), knows_instances=False)
+    given = EvaluationSettings(geometry="given")
+    table = as_table(evaluate(method, scenes, given, protocol="rooms-2view", model_name="flat"))
+    assert "AP was not measured: the scenes or the method know no instances." in table
+    assert "2048 Gaussians, 3 units with semantics, 7 numbers for labels and 0 for" in table
+    assert "it takes 0.50 s" in table

@@ -119,7 +119,7 @@ def notes(report: EvaluationReport) -> list[str]:
         f"AP is {_text(figures.ap_scannet)}."
     ]
     if figures.ap is None:
-        lines = ["AP was not measured: the scenes have no instances that are known."]
+        lines = ["AP was not measured: the scenes or the method know no instances."]
     lines += _missing(figures, word)
     if report.lpips_trunk is None:
         lines.append("LPIPS was not measured: no weights were given (--lpips).")
