@@ -166,9 +166,9 @@ def test_no_more_is_kept_than_the_limit_of_all_files_together(gate: tuple[Upload
         start(gate, "x", size, parts)
         assert coming(gate) == {}
     start(gate, "a", 60, 2)
-    start(gate, "b", 41, 1)
+    start(gate, "b", 41, 2)
     start(gate, "a", 1, 1)  # would begin anew what is coming
-    part(gate, "b", 0, bytes(41))
+    part(gate, "b", 0, bytes(20))
     part(gate, "a", 0, bytes(30))
     part(gate, "a", 1, bytes(30), client=2)
     part(gate, "a", 7, bytes(30))
