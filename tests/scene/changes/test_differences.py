@@ -100,3 +100,10 @@ def test_scenes_that_cannot_be_aligned_are_refused(before: Scene):
     alone = replace(before.only("chair"))
     with pytest.raises(ValueError, match="of 8 and 1 objects"):
         find_differences(before, alone)
+
+
+def test_a_small_move_is_told_and_what_large_things_seem_to_move_is_not(before: Scene):
+    room = box_room(OFFICE, seed=1)
+    found = find_differences(before, room.move("box", (-0.3, 0, 0)).move("floor", (0.1, 0, 0)))
+    assert keys(found, "moved") == ["box#7"]
+    assert found.of_kind("moved")[0].distance == pytest.approx(0.3, abs=0.05)
