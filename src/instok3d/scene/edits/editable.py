@@ -28,8 +28,6 @@ from instok3d.scene.edits.operations import (
     Show,
     Split,
     Up,
-    carried,
-    object_of,
 )
 from instok3d.scene.edits.ownership import Part, part_of
 from instok3d.scene.edits.pieces import connected_pieces, gap_of, inside_box
@@ -40,6 +38,7 @@ from instok3d.scene.edits.placing import (
     standing_on,
     upright_between,
 )
+from instok3d.scene.edits.scene_objects import carried, object_of
 from instok3d.scene.files import gaussians_sha256
 from instok3d.scene.objects import SceneObject, check_label
 from instok3d.scene.record import SceneRecord

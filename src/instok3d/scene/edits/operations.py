@@ -5,7 +5,6 @@ All that had to be decided (where an object stands, which Gaussians go with it) 
 so that doing it again on the same scene gives the same bytes. `EditableScene` makes them.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Protocol, runtime_checkable
@@ -14,9 +13,7 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from instok3d.geometry.moving import NO_TURN, Similarity, carry_gaussians
-from instok3d.geometry.spherical_harmonics import SH_CONSTANT
-from instok3d.pictures import display_color
+from instok3d.geometry.moving import Similarity
 from instok3d.scene.edits.ownership import (
     Part,
     given_to,
@@ -27,26 +24,15 @@ from instok3d.scene.edits.ownership import (
     with_part,
     without_rows,
 )
-from instok3d.scene.objects import (
-    FILE,
-    USER,
-    AlignedBox,
-    OrientedBox,
-    SceneObject,
-    check_label,
-    find_object,
-    key_of,
-)
+from instok3d.scene.edits.recoloring import recolored
+from instok3d.scene.edits.scene_objects import another_of, carried, new_object, object_of
+from instok3d.scene.edits.wording import hole_words, keys, moved_words
+from instok3d.scene.objects import FILE, USER, SceneObject, check_label, key_of
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.semantics import merged as merged_semantics
 from instok3d.scene.vertical import given_up
-from instok3d.types import Gaussians, check_gaussians
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Of linear sRGB; used on coded values, as a measure of light and dark."""
-DARKEST = 0.02
-"""Mean luminance below which an object has no shading that a new colour could keep."""
+from instok3d.types import Gaussians
 
 
 @runtime_checkable
@@ -96,7 +82,7 @@ class Remove:
         rim = f" and {len(self.claimed)} Gaussians at the rim" if len(self.claimed) else ""
         count = num_invented(self)
         fill = f"; {count} invented Gaussians extend the surfaces around it" if count else ""
-        return f"remove {_keys(scene, self.objects)}{rim}{_hole_words(self.hole)}{fill}"
+        return f"remove {keys(scene, self.objects)}{rim}{hole_words(self.hole)}{fill}"
 
 
 @dataclass(frozen=True)
@@ -112,7 +98,7 @@ class Only:
         return without_rows(scene, dropped, gone)
 
     def words(self, scene: SceneRecord) -> str:
-        return f"keep {_keys(scene, self.objects)} alone"
+        return f"keep {keys(scene, self.objects)} alone"
 
 
 @dataclass(frozen=True)
@@ -136,7 +122,7 @@ class Move:
         return rebuilt(scene, changed, tokens, scene.objects, counts, {item.id})
 
     def words(self, scene: SceneRecord) -> str:
-        return f"move {_moved_words(scene, self.object, self.motion)}"
+        return f"move {moved_words(scene, self.object, self.motion)}"
 
 
 @dataclass(frozen=True)
@@ -153,7 +139,7 @@ class Duplicate:
         return with_part(scene, part, another_of(scene, item))
 
     def words(self, scene: SceneRecord) -> str:
-        return f"duplicate {_moved_words(scene, self.object, self.motion)}"
+        return f"duplicate {moved_words(scene, self.object, self.motion)}"
 
 
 @dataclass(frozen=True)
@@ -207,7 +193,7 @@ class Recolor:
 
     def words(self, scene: SceneRecord) -> str:
         color = "".join(f"{round(255 * value):02x}" for value in self.color)
-        return f"recolor {_keys(scene, [self.object])}: #{color}"
+        return f"recolor {keys(scene, [self.object])}: #{color}"
 
 
 @dataclass(frozen=True)
@@ -237,7 +223,7 @@ class Merge:
         return rebuilt(merged, merged.gaussians, tokens, merged.objects, counts, ())
 
     def words(self, scene: SceneRecord) -> str:
-        return f"merge {_keys(scene, self.objects)}"
+        return f"merge {keys(scene, self.objects)}"
 
 
 @dataclass(frozen=True)
@@ -261,7 +247,7 @@ class Split:
 
     def words(self, scene: SceneRecord) -> str:
         new = another_of(scene, object_of(scene, self.object)).key
-        return f"split {_keys(scene, [self.object])}: {len(self.rows)} Gaussians are {new}"
+        return f"split {keys(scene, [self.object])}: {len(self.rows)} Gaussians are {new}"
 
 
 @dataclass(frozen=True)
@@ -281,7 +267,7 @@ class Rename:
                                          label_score=None))  # fmt: skip
 
     def words(self, scene: SceneRecord) -> str:
-        return f"rename {_keys(scene, [self.object])}: {self.label}"
+        return f"rename {keys(scene, [self.object])}: {self.label}"
 
 
 @dataclass(frozen=True)
@@ -297,7 +283,7 @@ class Hide:
         return scene
 
     def words(self, scene: SceneRecord) -> str:
-        return f"hide {_keys(scene, self.objects)}"
+        return f"hide {keys(scene, self.objects)}"
 
 
 @dataclass(frozen=True)
@@ -313,7 +299,7 @@ class Show:
         return scene
 
     def words(self, scene: SceneRecord) -> str:
-        return f"show {_keys(scene, self.objects)}"
+        return f"show {keys(scene, self.objects)}"
 
 
 @dataclass(frozen=True)
@@ -344,63 +330,6 @@ def num_invented(edit: Edit) -> int:
     """Gaussians that an edit adds and that no photo shows: those of fills."""
     invented = edit.invented if isinstance(edit, Remove) else None
     return 0 if invented is None else len(invented.means)
-
-
-def object_of(scene: SceneRecord, which: int | str) -> SceneObject:
-    """The object of an id, a key or a label; see `find_object`."""
-    return find_object(scene.objects, which)
-
-
-def another_of(scene: SceneRecord, item: SceneObject) -> SceneObject:
-    """A new object with the label of another one."""
-    new = new_object(scene, item.label, item.confidence)
-    return replace(new, label_source=item.label_source, label_score=item.label_score)
-
-
-def new_object(scene: SceneRecord, label: str | None, confidence: float) -> SceneObject:
-    """An object with the next id, which is described when it has Gaussians."""
-    number, nowhere = len(scene.tokens.groups) + 1, (0.0, 0.0, 0.0)
-    return SceneObject(
-        id=number, key=key_of(number, label), color=display_color(number),
-        aabb=AlignedBox(nowhere, nowhere), obb=OrientedBox(nowhere, nowhere, NO_TURN),
-        centroid=nowhere, num_anchors=0, num_gaussians=0, gaussian_range=(0, 0),
-        confidence=confidence, label=label,
-    )  # fmt: skip
-
-
-def carried(part: Part, motion: Similarity) -> Part:
-    """A part moved, turned, scaled.
-
-    Raises:
-        ValueError: It would be too far away, too large or too small to be drawn.
-    """
-    gaussians = carry_gaussians(part.gaussians, motion)
-    check_gaussians(gaussians, "the object, moved like this,")
-    return replace(part, gaussians=gaussians, positions=motion.points(part.positions))
-
-
-def recolored(gaussians: Gaussians, color: Sequence[float]) -> Gaussians:
-    """Gaussians in one hue whose mean is a colour and whose luminance varies as it did.
-
-    The colour of each becomes luminance / mean luminance x `color`, in every direction; what has
-    hardly any luminance gets the colour without shading.
-
-    Args:
-        gaussians: Unbatched.
-        color: SRGB in [0, 1].
-    """
-    sh = gaussians.sh.double()
-    target = torch.tensor(color, dtype=torch.float64)
-    luminance = sh @ torch.tensor(LUMINANCE, dtype=torch.float64)
-    luminance[:, 0] += 0.5 / SH_CONSTANT  # of the colour itself, not of its distance from grey
-    weights = gaussians.opacities.double().clamp_min(1e-6)
-    mean = float((weights * luminance[:, 0]).sum() / weights.sum()) * SH_CONSTANT
-    if mean < DARKEST:
-        luminance = torch.zeros_like(luminance)
-        luminance[:, 0], mean = 1 / SH_CONSTANT, 1.0
-    tinted = luminance[..., None] / mean * target
-    tinted[:, 0] -= 0.5 / SH_CONSTANT
-    return replace(gaussians, sh=tinted.to(gaussians.sh.dtype))
 
 
 def _rows_of(scene: SceneRecord, ids: Sequence[int]) -> Tensor:
@@ -434,33 +363,3 @@ def _checked_rows(rows: Tensor, count: int) -> Tensor:
     if len(rows) and not 0 <= int(rows.min()) <= int(rows.max()) < count:
         raise ValueError(f"rows up to {int(rows.max())} of {count} Gaussians cannot be")
     return rows
-
-
-def _keys(scene: SceneRecord, ids: Sequence[int]) -> str:
-    return ", ".join(object_of(scene, number).key for number in ids)
-
-
-def _hole_words(hole: Sequence[RunLengths] | None) -> str:
-    """The share of the input views that a hole takes; nothing where there is none."""
-    area = sum(each.area for each in hole or ())
-    if not hole or not area:
-        return ""
-    pixels = sum(each.height * each.width for each in hole)
-    return f", which leaves a hole in {area / pixels:.2%} of the views"
-
-
-def _moved_words(scene: SceneRecord, number: int, motion: Similarity) -> str:
-    """Key, way of the box's centre, turn and scale."""
-    item = object_of(scene, number)
-    center = torch.tensor([item.obb.center], dtype=torch.float64)
-    way = [round(value, 6) + 0.0 for value in (motion.points(center) - center)[0].tolist()]
-    w, *axis = motion.quat_wxyz
-    length = math.hypot(*axis)
-    about = ", ".join(f"{value / max(length, 1e-12) + 0.0:.3g}" for value in axis)
-    angle = math.degrees(2 * math.atan2(length, w))
-    words = [
-        "by (" + ", ".join(f"{value:.4g}" for value in way) + ")" if any(way) else "",
-        f"turned by {angle:.4g} degrees about ({about})" if length else "",
-        f"times {motion.scale:.4g}" if motion.scale != 1 else "",
-    ]
-    return f"{item.key} " + (", ".join(each for each in words if each) or "not at all")
