@@ -43,7 +43,7 @@ from instok3d.evaluation.query_rooms import (
 from instok3d.files import replacing
 from instok3d.model.files import load_model
 from instok3d.rooms.dataset import RoomDataset
-from instok3d.scene.lifting import find_lifting, object_vectors
+from instok3d.scene.lifting import find_lifting
 from instok3d.scene.scene import Scene
 from instok3d.semantics.classes import PHRASES
 from instok3d.semantics.query.calibration import (
@@ -227,7 +227,7 @@ def ways_to_answer(given: argparse.Namespace) -> dict[str, tuple[QueryEncoder, A
         ways["scene"] = (
             lifted,
             lambda room: by_scene(
-                room, scenes.of(room), lambda scene, _: object_vectors(scene, lifted.teacher.name)
+                room, scenes.of(room), lambda scene, _: lifted_by(lifted.teacher.name, scene)
             ),
         )
     return ways
@@ -262,6 +262,11 @@ def seen_by(teacher: Teacher, room: RoomTruth, scene: Scene) -> torch.Tensor:
     ids = scene.render(ids=True).ids
     assert ids is not None
     return mask_vectors(room.images, ids, [item.id for item in scene.objects], teacher)
+
+
+def lifted_by(encoder: str, scene: Scene) -> torch.Tensor:
+    """What a scene's own semantics say of its objects."""
+    return scene.semantics[encoder].of_objects([item.id for item in scene.objects])
 
 
 def main() -> None:

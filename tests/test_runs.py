@@ -250,3 +250,11 @@ def test_the_embedded_teacher_is_trained_and_the_run_goes_on(
     lines = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
     looks = [line for line in lines if "lsm_miou" in line]
     assert looks[0]["step"] == looks[1]["step"] > 0
+
+
+@pytest.mark.parametrize("path", sorted(RUNS.glob("*.py")), ids=lambda path: path.stem)
+def test_every_script_finds_what_it_takes_from_the_package(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.syspath_prepend(str(RUNS))
+    import_module(path.stem)

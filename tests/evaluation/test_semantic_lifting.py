@@ -13,6 +13,7 @@ from instok3d.evaluation.semantic_lifting import (
     ANCHOR,
     BOTH,
     ENCODER,
+    FITTED,
     GAUSSIANS,
     GROUP,
     KINDS,
@@ -123,6 +124,20 @@ def test_the_class_of_a_group_is_that_of_most_of_its_pixels(scene: LiftedScene):
     found, _ = feature_maps(replace(scene, classes=classes), PERFECT, Constant().text(PHRASES))
     mine = maps.argmax(dim=1) == number
     assert (found.argmax(dim=1)[mine] == PHRASES.index("chair")).float().mean() > 0.99
+
+
+def test_fitted_groups_have_the_mean_direction_of_what_is_seen_of_them(scene: LiftedScene):
+    phrases = Constant().text(PHRASES)
+    fitted, stored = feature_maps(scene, FITTED, phrases)
+    assert stored == feature_maps(scene, BOTH, phrases)[1]
+    # The encoder sees a sofa everywhere: so does every group, with the residuals on top.
+    anchor, _ = feature_maps(scene, ANCHOR, phrases)
+    shared = (fitted - anchor)[:, PHRASES.index("sofa")]
+    others = (fitted - anchor).abs().sum(dim=1) - shared.abs()
+    torch.testing.assert_close(others, torch.zeros_like(others), atol=1e-4, rtol=0)
+    lengths = scene.tokens.shared[0, :, 0].norm(dim=1)
+    assert shared.max() <= lengths.max() + 1e-4
+    assert shared.max() > 0.5 * lengths.min()
 
 
 def test_the_encoder_agrees_with_itself_and_names_what_it_sees(scene: LiftedScene):

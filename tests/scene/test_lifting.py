@@ -102,7 +102,7 @@ def test_anchors_that_are_left_out_take_their_features_along(folder: Path):
     assert found is not None
     views = Views(images=torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(1)))
     with torch.no_grad():
-        groups = tokenizer(views, None, found.of(tokenizer, views))
+        groups = tokenizer(views, None, found.of(tokenizer, views, found.features(views)))
         patches = torch.zeros(2 * 16, dtype=torch.bool)
         patches[groups.anchors.patches[0, :3]] = True
         left = without_patches(groups, patches)
@@ -110,6 +110,37 @@ def test_anchors_that_are_left_out_take_their_features_along(folder: Path):
         residuals = found.model.tokens(left).residuals
     assert len(residuals[0]) == int(kept.sum()) == len(kept) - 3
     assert torch.allclose(residuals[0], found.model.tokens(groups).residuals[0, kept], atol=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_shared_features_point_to_what_is_seen_of_each_object(folder: Path):
+    scene = made(folder, folder / "semantics.safetensors", refine=0)
+    found = find_lifting(
+        folder / "semantics.safetensors", load_model(folder / "model.safetensors"), default=False
+    )
+    assert found is not None
+    features = torch.zeros(len(scene.views), CHANNELS, 64, 64)
+    for axis, item in enumerate(scene.objects):  # each object is seen as an axis of its own
+        for view, run_lengths in zip(item.visible_in, item.sight.masks, strict=True):
+            mask = run_lengths.mask().float()[None, None]
+            whole = torch.nn.functional.interpolate(mask, (64, 64))[0, 0] > 0
+            features[view, axis][whole] = 2.0
+    before = scene.semantics["rooms-made"].shared
+    after = found.fitted(scene, features).semantics["rooms-made"].shared
+    pixels = [sum(int(each.mask().sum()) for each in item.sight.masks) for item in scene.objects]
+    seen = [item for item, count in zip(scene.objects, pixels, strict=True)
+            if count >= lifting.MIN_PIXELS]  # fmt: skip
+    assert seen
+    for axis, item in enumerate(scene.objects):
+        row = after[item.id - 1, 0]
+        if item not in seen:
+            assert torch.equal(row, before[item.id - 1, 0])
+            continue
+        assert int(row.argmax()) == axis
+        assert float(row.norm()) == pytest.approx(float(before[item.id - 1, 0].norm()), rel=1e-2)
+    no_objects = replace(scene, objects=())
+    kept = found.fitted(no_objects, features).semantics["rooms-made"].shared
+    assert torch.equal(kept, before)
 
 
 def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path):

@@ -119,9 +119,15 @@ def _of_things(truth: RoomTruth, vectors: Float[Tensor, "thing channel"]) -> Roo
 
 @torch.no_grad()
 def room_scene(truth: RoomTruth, tokenizer: Tokenizer, lifting: Lifting | None = None) -> Scene:
-    """The scene of a model that sees the bare context photos, with whole objects; not refined."""
+    """The scene of a model that sees the bare context photos, with whole objects.
+
+    Its Gaussians are not refined; its semantics are fitted to the photos, as `reconstruct` does.
+    """
     views = Views(images=truth.images[None])
-    lift = None if lifting is None else lifting.of(tokenizer, views)
+    features = None if lifting is None else lifting.features(views)
+    lift = None
+    if lifting is not None and features is not None:
+        lift = lifting.of(tokenizer, views, features)
     tokens = tokenizer(views, None, lift)
     photos = (255 * truth.images).round().to(torch.uint8).permute(0, 2, 3, 1)
     height, width = photos.shape[1:3]
@@ -132,7 +138,10 @@ def room_scene(truth: RoomTruth, tokenizer: Tokenizer, lifting: Lifting | None =
     bare = bare_scene(tokens, photos, names, provenance=Provenance("evaluation", "", "", seed=0))
     if lifting is not None:
         bare = lifting.with_semantics(bare, tokens)
-    return with_objects(cleaned_scene(bare))
+    scene = with_objects(cleaned_scene(bare))
+    if lifting is None or features is None:
+        return scene
+    return lifting.fitted(scene, features[0])
 
 
 def by_scene(

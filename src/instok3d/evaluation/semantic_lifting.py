@@ -30,9 +30,10 @@ from instok3d.semantics.tokens import (
 from instok3d.types import Cameras, Gaussians, TokenGroups, Views
 
 BOTH, GROUP, ANCHOR = "Group + Anchor", "Group", "Anchor"
+FITTED = "Group + Anchor, fitted to the photos"
 ENCODER, PERFECT = "2D encoder", "true class of each group"
 GAUSSIANS, PIXELS = "one feature per Gaussian", "one feature per pixel of the photos"
-KINDS = (BOTH, GROUP, ANCHOR, ENCODER, PERFECT, GAUSSIANS, PIXELS)
+KINDS = (BOTH, GROUP, ANCHOR, FITTED, ENCODER, PERFECT, GAUSSIANS, PIXELS)
 
 PIXELS_FACTOR = 2
 """Gaussians of the last kind for each pixel, each way: 131,072 for two photos of 128 x 128."""
@@ -124,11 +125,14 @@ def feature_maps(
     shared, residuals = tokens.shared.numel(), tokens.residuals.numel()
     if kind == PERFECT:
         tokens = _with_true_classes(scene, maps, phrases)
+    elif kind == FITTED:
+        tokens = _fitted(scene, maps)
     if kind in (GROUP, PERFECT):
         maps = SemanticMaps(maps.shares, 0 * maps.residuals)
     elif kind == ANCHOR:
         maps = SemanticMaps(0 * maps.shares, maps.residuals)
-    stored = {BOTH: shared + residuals, GROUP: shared, ANCHOR: residuals, PERFECT: shared}
+    both = shared + residuals
+    stored = {BOTH: both, FITTED: both, GROUP: shared, ANCHOR: residuals, PERFECT: shared}
     return pixel_features(maps, tokens)[0], stored[kind]
 
 
@@ -249,6 +253,25 @@ def _with_true_classes(
     basis = scene.tokens.shared.shape[2]
     return SemanticTokens(
         named[None, :, None].expand(-1, -1, basis, -1), scene.tokens.residuals,
+        scene.tokens.mixing, scene.tokens.residual_map,
+    )  # fmt: skip
+
+
+def _fitted(scene: LiftedScene, maps: SemanticMaps) -> SemanticTokens:
+    """Shared features that solve the second term of Eq. 8 in the context views; lengths stay.
+
+    `Lifting.fitted` does so with the objects of a scene.
+    """
+    shares = maps.shares[0, : scene.num_context].sum(dim=2)
+    size = (shares.shape[-2], shares.shape[-1])
+    seen = functional.interpolate(scene.encoder[: scene.num_context], size, mode="bilinear")
+    mean = torch.einsum("vghw,vdhw->gd", shares, functional.normalize(seen, dim=1))
+    shared = scene.tokens.shared
+    lengths = shared.norm(dim=3, keepdim=True)
+    shown = shares.sum(dim=(0, 2, 3)) > 0
+    fitted = functional.normalize(mean, dim=1)[None, :, None] * lengths
+    return SemanticTokens(
+        torch.where(shown[None, :, None, None], fitted, shared), scene.tokens.residuals,
         scene.tokens.mixing, scene.tokens.residual_map,
     )  # fmt: skip
 

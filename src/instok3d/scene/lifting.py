@@ -5,6 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
 
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.scene.labels import with_labels
@@ -20,6 +23,8 @@ from instok3d.semantics.teachers.opening import open_teacher
 from instok3d.types import TokenGroups, Views
 
 AUTO, NONE = "auto", "none"
+MIN_PIXELS = 16
+"""In all photos together: what is seen of an object that its shared feature is fitted to."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +35,20 @@ class Lifting:
     model: SemanticModel
 
     @torch.no_grad()
-    def of(self, tokenizer: Tokenizer, views: Views) -> PatchLift:
+    def features(self, views: Views) -> Float[Tensor, "batch view feature row column"]:
+        """What the encoder sees in photos, on the CPU."""
+        found = self.encoder.teacher.features(views.images.flatten(0, 1).cpu())
+        return found.unflatten(0, views.images.shape[:2]).float()
+
+    @torch.no_grad()
+    def of(
+        self,
+        tokenizer: Tokenizer,
+        views: Views,
+        features: Float[Tensor, "batch view feature row column"],
+    ) -> PatchLift:
         """What the tokenizer carries through its windows, for photos on its device."""
-        features = self.encoder.teacher.features(views.images.flatten(0, 1).cpu())
-        features = features.unflatten(0, views.images.shape[:2]).to(views.images)
+        features = features.to(views.images)
         return self.model.to(views.images.device).lift(tokenizer, views, features)
 
     @torch.no_grad()
@@ -47,6 +62,40 @@ class Lifting:
         found = scene_semantics(self.model.cpu().tokens(groups))
         name = check_encoder(self.encoder.teacher.name)
         return replace(scene, semantics={**scene.semantics, name: found})
+
+    @torch.no_grad()
+    def fitted(self, scene: Scene, features: Float[Tensor, "view feature row column"]) -> Scene:
+        """The scene with the shared features that its own photos ask for.
+
+        The second term of Eq. 8, solved for one scene as `refine` does with Gaussians: s points to
+        the mean direction of the encoder's features over the pixels where the object is seen. Its
+        length stays, and so does what residuals add. Objects that show fewer than MIN_PIXELS, and
+        groups with several shared features, keep what the model gave.
+
+        Args:
+            scene: With its objects.
+            features: Of its photos, as `features` gives them.
+        """
+        name = self.encoder.teacher.name
+        one = scene.semantics[name]
+        if one.shared.shape[1] > 1:
+            return scene
+        directions = functional.normalize(features, dim=1)
+        shared = one.shared.clone()
+        for item in scene.objects:
+            total, seen = torch.zeros(features.shape[1]), 0
+            for view, run_lengths in zip(item.visible_in, item.sight.masks, strict=True):
+                mask = run_lengths.mask()
+                whole = functional.interpolate(
+                    directions[view][None], (mask.shape[0], mask.shape[1]), mode="bilinear"
+                )[0]
+                total += whole[:, mask].sum(dim=1)
+                seen += int(mask.sum())
+            if seen >= MIN_PIXELS:
+                row = item.id - 1
+                shared[row, 0] = functional.normalize(total, dim=0) * shared[row, 0].norm()
+        better = replace(one, shared=shared.half().float())
+        return replace(scene, semantics={**scene.semantics, name: better})
 
     def named(self, scene: Scene) -> Scene:
         """The scene with its objects named by what the encoder says of them.

@@ -146,7 +146,10 @@ def reconstruct(
         begin("tokens")
         photo_set = checked.photos
         views = photo_set.views.to(device)
-        lift = None if lifting is None else lifting.of(tokenizer, views)
+        features = None if lifting is None else lifting.features(views)
+        lift = None
+        if lifting is not None and features is not None:
+            lift = lifting.of(tokenizer, views, features)
         tokens = tokenizer(views, checked.geometry, lift).to("cpu")
         if checked.unsure_patches is not None:
             tokens = without_patches(tokens, checked.unsure_patches)
@@ -180,7 +183,9 @@ def reconstruct(
         scene = refined(scene, refinement, progress=progress, stop=stop)
     begin("objects")
     scene = with_objects(cleaned_scene(scene) if clean_up else scene)
-    return scene if lifting is None else lifting.named(scene)
+    if lifting is None or features is None:
+        return scene
+    return lifting.named(lifting.fitted(scene, features[0]) if refine else scene)
 
 
 def cleaned_scene(scene: Scene) -> Scene:
