@@ -80,20 +80,22 @@ class Lifting:
         one = scene.semantics[name]
         if one.shared.shape[1] > 1:
             return scene
-        directions = functional.normalize(features, dim=1)
-        shared = one.shared.clone()
-        for item in scene.objects:
-            total, seen = torch.zeros(features.shape[1]), 0
-            for view, run_lengths in zip(item.visible_in, item.sight.masks, strict=True):
-                mask = run_lengths.mask()
-                whole = functional.interpolate(
-                    directions[view][None], (mask.shape[0], mask.shape[1]), mode="bilinear"
-                )[0]
-                total += whole[:, mask].sum(dim=1)
-                seen += int(mask.sum())
-            if seen >= MIN_PIXELS:
-                row = item.id - 1
-                shared[row, 0] = functional.normalize(total, dim=0) * shared[row, 0].norm()
+        totals = one.shared.new_zeros(len(one.shared), features.shape[1])
+        pixels = torch.zeros(len(one.shared))
+        for view, each in enumerate(functional.normalize(features, dim=1)):
+            masks = {
+                item.id - 1: item.sight.masks[item.visible_in.index(view)].mask()
+                for item in scene.objects
+                if view in item.visible_in
+            }
+            if not masks:
+                continue
+            rows, seen = list(masks), torch.stack(list(masks.values())).float()
+            whole = functional.interpolate(each[None], tuple(seen.shape[1:]), mode="bilinear")[0]
+            totals[rows] += seen.flatten(1) @ whole.flatten(1).T
+            pixels[rows] += seen.sum(dim=(1, 2))
+        fit = functional.normalize(totals, dim=1) * one.shared[:, 0].norm(dim=1, keepdim=True)
+        shared = torch.where((pixels >= MIN_PIXELS)[:, None, None], fit[:, None], one.shared)
         better = replace(one, shared=shared.half().float())
         return replace(scene, semantics={**scene.semantics, name: better})
 
