@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import torch
 
+from instok3d.scene.boxes import describe_shape
 from instok3d.scene.edits.history import as_record
 from instok3d.scene.edits.ownership import owners, row_ids
-from instok3d.scene.objects import describe_shape
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.scene import Scene
 from instok3d.scene.sight import look

@@ -177,6 +177,13 @@ def whole_number(value: Any, least: int = 0, most: int = 2**63 - 1) -> int:
     return value
 
 
+def whole_numbers(values: Any, count: int) -> Any:
+    """Exactly `count` whole numbers as a tuple."""
+    if len(values) != count:
+        raise ValueError(f"wanted {count} whole numbers, got {reprlib.repr(values)}")
+    return tuple(whole_number(value) for value in values)
+
+
 def number(value: Any) -> float:
     """A value of JSON that is a number.
 

@@ -14,7 +14,7 @@ from instok3d.formats.object_folder import write_object_folder
 from instok3d.formats.parts import file_stem
 from instok3d.formats.ply import read_ply
 from instok3d.formats.registry import ExportOptions
-from instok3d.scene.objects import OrientedBox
+from instok3d.scene.boxes import OrientedBox
 from instok3d.scene.scene import Scene
 from splat_scenes import furnished_scene
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from instok3d.geometry.moving import quat_about
-from instok3d.scene.objects import OrientedBox
+from instok3d.scene.boxes import OrientedBox
 from instok3d.scene.scene import Scene
 from instok3d.scene.upright_boxes import level_axes, upright_boxes
 from instok3d.scene.vertical import Vertical

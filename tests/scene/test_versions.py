@@ -10,9 +10,10 @@ import pytest
 import torch
 
 import instok3d
-from instok3d.scene.objects import SceneObject, Sight
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
 from instok3d.scene.versions import UPGRADES, VERSION, upgraded
+from instok3d.scene.visibility import Sight
 from made_scene import made_scene, made_tokens
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

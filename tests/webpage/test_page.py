@@ -16,8 +16,8 @@ from browser import open_page
 from instok3d.formats.registry import ExportOptions, export_scene
 from instok3d.pictures import color_picture
 from instok3d.render import render
-from instok3d.scene.objects import Sight
 from instok3d.scene.scene import Scene
+from instok3d.scene.visibility import Sight
 from instok3d.types import Gaussians
 from instok3d.webpage import page as page_module
 from instok3d.webpage import write_page

@@ -14,7 +14,8 @@ from instok3d.formats.glb import GlbBuilder
 from instok3d.formats.statements import scene_comments
 from instok3d.formats.upright import y_up
 from instok3d.geometry.rotations import quat_to_matrix
-from instok3d.scene.objects import OrientedBox, SceneObject
+from instok3d.scene.boxes import OrientedBox
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.scene import Scene
 
 MIN_OPACITY = 0.1

@@ -12,7 +12,7 @@ from instok3d.files import sha256_of
 from instok3d.formats.registry import read_splats
 from instok3d.formats.splats import Splats
 from instok3d.scene.from_gaussians import UNKNOWN_UP, scene_from_gaussians
-from instok3d.scene.objects import check_label
+from instok3d.scene.names import check_label
 from instok3d.scene.record import Provenance
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import Vertical

@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from instok3d.scene.boxes import Point
 from instok3d.scene.object_list import Scale, own_scale
-from instok3d.scene.objects import Point, SceneObject
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.said_relations import SaidRelation, said_relations
 from instok3d.scene.seen_colors import FLOOR, seen_color_shares
 from instok3d.scene.upright_boxes import level_axes, upright_boxes

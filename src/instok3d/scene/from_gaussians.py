@@ -8,7 +8,9 @@ from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.pictures import display_color
-from instok3d.scene.objects import FILE, SceneObject, check_label, describe_shape, key_of
+from instok3d.scene.boxes import describe_shape
+from instok3d.scene.names import FILE, check_label, key_of
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import FAR, MAX_FAR, Provenance, SceneTokens, near_and_far
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import Vertical

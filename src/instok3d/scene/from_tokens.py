@@ -12,7 +12,9 @@ from torch import Tensor
 from instok3d.geometry.cameras import invert_rigid, transform_points
 from instok3d.geometry.moving import move_gaussians
 from instok3d.pictures import display_color
-from instok3d.scene.objects import SceneObject, describe_shape, key_of
+from instok3d.scene.boxes import describe_shape
+from instok3d.scene.names import key_of
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import Provenance, SceneTokens, SceneView, near_and_far
 from instok3d.scene.scene import Scene
 from instok3d.scene.sight import MIN_PIXELS, GroupSight, look

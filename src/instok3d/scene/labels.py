@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-from instok3d.scene.objects import FILE, SEMANTICS, USER, SceneObject, key_of
+from instok3d.scene.names import FILE, SEMANTICS, USER, key_of
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 from instok3d.semantics.labels import ClassLabel
 

@@ -11,7 +11,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from instok3d.scene.objects import USER, SceneObject, find_object
+from instok3d.scene.names import USER
+from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.seen_colors import seen_color_shares
 from instok3d.scene.upright_boxes import upright_boxes
 from instok3d.semantics.query.encoder import QueryEncoder

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.scene.id_maps import group_maps
-from instok3d.scene.objects import BestView, LateSight, Sight
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
+from instok3d.scene.visibility import BestView, LateSight, Sight
 
 MIN_PIXELS = 20
 """A group is an object only where it wins this many pixels of some input view."""

@@ -8,7 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.geometry.rotations import quat_to_matrix
-from instok3d.scene.objects import Point, SceneObject, extents_along
+from instok3d.scene.boxes import Point, extents_along
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 from instok3d.semantics.query.relations import UprightBoxes
 

@@ -14,8 +14,8 @@ from imported_scene import imported_scene
 from instok3d.geometry.cameras import invert_rigid, rigid
 from instok3d.geometry.rotations import quat_to_matrix
 from instok3d.render import render
+from instok3d.scene.boxes import extent_along
 from instok3d.scene.edits.ownership import given_to, part_of
-from instok3d.scene.objects import extent_along
 from instok3d.scene.refine import refine
 from instok3d.scene.scene import Scene
 from instok3d.types import Cameras

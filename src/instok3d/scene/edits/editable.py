@@ -40,7 +40,8 @@ from instok3d.scene.edits.placing import (
 )
 from instok3d.scene.edits.scene_objects import carried, object_of
 from instok3d.scene.files import gaussians_sha256
-from instok3d.scene.objects import SceneObject, check_label
+from instok3d.scene.names import check_label
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.vertical import given_up

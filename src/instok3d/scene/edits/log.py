@@ -23,7 +23,7 @@ from instok3d.scene.edits.arguments import color, factor
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.operations import OPERATIONS, Edit
 from instok3d.scene.edits.ownership import Part
-from instok3d.scene.objects import check_label, check_label_source
+from instok3d.scene.names import check_label, check_label_source
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.semantic_files import PACKED, packed, unpacked

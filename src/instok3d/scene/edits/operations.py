@@ -27,7 +27,8 @@ from instok3d.scene.edits.ownership import (
 from instok3d.scene.edits.recoloring import recolored
 from instok3d.scene.edits.scene_objects import another_of, carried, new_object, object_of
 from instok3d.scene.edits.wording import hole_words, keys, moved_words
-from instok3d.scene.objects import FILE, USER, SceneObject, check_label, key_of
+from instok3d.scene.names import FILE, USER, check_label, key_of
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.semantics import merged as merged_semantics

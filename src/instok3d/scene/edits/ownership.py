@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from instok3d.scene import semantics
-from instok3d.scene.objects import SceneObject, describe_shape
+from instok3d.scene.boxes import describe_shape
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord, SceneTokens
 from instok3d.scene.semantics import NO_SEMANTICS, SceneSemantics
 from instok3d.scene.sight import looked_at_later

@@ -14,8 +14,9 @@ from instok3d.geometry.moving import (
     quat_about,
 )
 from instok3d.geometry.rotations import quat_multiply
+from instok3d.scene.boxes import extent_along
 from instok3d.scene.edits.ownership import part_of
-from instok3d.scene.objects import SceneObject, extent_along
+from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 from instok3d.types import Gaussians
 

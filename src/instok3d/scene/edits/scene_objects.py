@@ -4,8 +4,10 @@ from dataclasses import replace
 
 from instok3d.geometry.moving import NO_TURN, Similarity, carry_gaussians
 from instok3d.pictures import display_color
+from instok3d.scene.boxes import AlignedBox, OrientedBox
 from instok3d.scene.edits.ownership import Part
-from instok3d.scene.objects import AlignedBox, OrientedBox, SceneObject, find_object, key_of
+from instok3d.scene.names import key_of
+from instok3d.scene.objects import SceneObject, find_object
 from instok3d.scene.record import SceneRecord
 from instok3d.types import check_gaussians
 
