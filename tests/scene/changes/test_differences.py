@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from box_room import MOTION, OFFICE, box_room, with_cameras
-from instok3d.scene.changes.differences import Difference, find_differences
+from instok3d.scene.changes.differences import find_differences
+from instok3d.scene.changes.record import Difference
 from instok3d.scene.scene import Scene
 from made_scene import made_empty_scene
 
