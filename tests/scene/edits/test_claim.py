@@ -11,14 +11,16 @@ from instok3d.scene.edits.ownership import rebuilt
 from instok3d.scene.scene import Scene
 
 
-def with_halo(scene: Scene) -> Scene:
-    """The red blob with three of its Gaussians given to the rest, as a halo would be."""
+def with_halo(scene: Scene, *, of_blue: bool = False) -> Scene:
+    """The red blob with four of its Gaussians given to the rest, or to the blue, as a halo is."""
     pi = scene.tokens.assignment.clone()
-    pi[0] = torch.tensor([0.48, 0, 0, 0, 0.52])  # anchor 0, 4 Gaussians, is now the void's
-    order = torch.cat([torch.arange(4, 40), torch.arange(4)])
-    counts = {1: 8, 3: 8}
+    # Anchor 0, 4 Gaussians, is now the void's or the blue one's.
+    pi[0] = torch.tensor([0.48, 0, 0.52, 0, 0] if of_blue else [0.48, 0, 0, 0, 0.52])
+    start = 16 if of_blue else 36
+    order = torch.cat([torch.arange(4, 4 + start), torch.arange(4), torch.arange(4 + start, 40)])
+    counts = {1: 8, 3: 12 if of_blue else 8}
     tokens = replace(scene.tokens, assignment=pi)
-    return rebuilt(scene, scene.gaussians.rows(order), tokens, scene.objects, counts, {1})
+    return rebuilt(scene, scene.gaussians.rows(order), tokens, scene.objects, counts, {1, 3})
 
 
 def test_a_halo_goes_with_its_object_and_nothing_else_does(scene: Scene):
@@ -42,3 +44,25 @@ def test_without_views_nothing_is_claimed():
 
 def test_several_objects_are_removed_at_once(scene: Scene):
     assert scene.remove(1, 3, claim=True).objects == ()
+
+
+def test_a_hidden_object_hides_no_halo(scene: Scene):
+    screened = with_halo(scene).duplicate(3, (-1.2, 0, -0.6), scale=1.5)
+    screen = screened.objects[-1].id
+    halo = torch.arange(4) + screened.object(screen).num_gaussians + 36
+    assert len(claimed_rows(screened, (1,))) < 4  # it stands before the halo
+    assert claimed_rows(screened.hide(screen), (1,)).tolist() == halo.tolist()
+
+
+def test_nothing_of_a_hidden_object_goes_with_another(scene: Scene):
+    haloed = with_halo(scene, of_blue=True)
+    assert_consistent(haloed)
+    assert claimed_rows(haloed, (1,)).tolist() == [16, 17, 18, 19]
+    removed = haloed.hide(3).remove(1, claim=True)
+    assert removed.object(3).num_gaussians == 12
+    assert torch.equal(removed.show(3).render(only=[3]).colors, haloed.render(only=[3]).colors)
+
+
+def test_a_hidden_object_takes_its_halo_along(scene: Scene):
+    haloed = with_halo(scene)
+    assert torch.equal(claimed_rows(haloed.hide(1), (1,)), claimed_rows(haloed, (1,)))
