@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from PIL import Image
 
 from instok3d.formats.registry import ExportOptions, export_scene
 from instok3d.scene.scene import Scene
@@ -77,6 +78,13 @@ def test_a_name_is_its_last_part_printable_and_short(given: str, shown: str):
     assert shown_name(given) == shown
 
 
+def flat_picture(side: int) -> bytes:
+    """A square PNG of one colour: about 3 * side * side / 1000 bytes."""
+    stream = io.BytesIO()
+    Image.new("RGB", (side, side)).save(stream, "PNG")
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -94,6 +102,10 @@ def test_a_name_is_its_last_part_printable_and_short(given: str, shown: str):
         ("a.zip", archive(("scene.json", bytes(LIMIT + 1))), "unpacked it has 1,048,577 bytes"),
         ("a.zip", archive(("scene.json", b"{}"), method=zipfile.ZIP_BZIP2), "another method"),
         ("a.zip", archive(*((f"{n}", b"") for n in range(4097))), "it has 4097 files"),
+        ("a.zip", archive(("scene.json", b"{}"), ("inputs/000.png", flat_picture(500)),
+                          ("previews/inputs/000.png", flat_picture(316))),
+         "its photos have 1,049,568 bytes of pixels; at most 1,048,576"),
+        ("a.zip", archive(("scene.json", b"{}"), ("inputs/000.png", b"PNG")), "a.zip: scene"),
     ],
 )  # fmt: skip
 def test_what_is_no_scene_is_refused_by_the_name_it_was_sent_with(

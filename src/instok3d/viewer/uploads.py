@@ -14,9 +14,10 @@ import torch
 
 from instok3d.formats.importing import import_scene
 from instok3d.formats.registry import format_of, readable
-from instok3d.reading import naming_damage
+from instok3d.reading import naming_damage, open_png
 from instok3d.scene.from_gaussians import scene_from_gaussians
 from instok3d.scene.scene import Scene
+from instok3d.scene.versions import INPUTS_FOLDERS
 
 MEGABYTE = 2**20
 LIMIT_MB = 256
@@ -117,7 +118,8 @@ def uploaded_scene(given: str, content: bytes, limit_bytes: int) -> Scene:
     Args:
         given: Its name, of which the ending alone counts.
         content: All of it.
-        limit_bytes: That the content of a zipped scene may have when it is unpacked.
+        limit_bytes: That the content of a zipped scene may have when it is unpacked, and its
+            photos when they are decoded.
 
     Raises:
         ModuleNotFoundError: The format needs a package that is not installed.
@@ -159,7 +161,8 @@ def _unpacked(path: Path, limit_bytes: int) -> Path:
     """The scene folder in a zip file, unpacked beside it: checked names, checked sizes.
 
     Raises:
-        ValueError: It is damaged, holds no scene.json, or something that no scene folder has.
+        ValueError: It is damaged, too large, holds no scene.json, or something that no scene folder
+            has.
     """
     target = path.parent / "scene"
     with naming_damage(path, REMEDY), zipfile.ZipFile(path) as archive:
@@ -182,7 +185,22 @@ def _unpacked(path: Path, limit_bytes: int) -> Path:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(entry) as packed:  # no more than the size that it is said to have
                     file.write_bytes(packed.read(entry.file_size))
+        pixels = 3 * sum(map(_num_pixels, _photos(target)))
+        if pixels > limit_bytes:
+            raise ValueError(
+                f"its photos have {pixels:,} bytes of pixels; at most {limit_bytes:,} are taken"
+            )
     return target
+
+
+def _photos(scene: Path) -> list[Path]:
+    return [file for folder in INPUTS_FOLDERS for file in (scene / folder).glob("*.png")]
+
+
+def _num_pixels(photo: Path) -> int:
+    """What a PNG file says to have: a few kilobytes can be a hundred megabytes of one colour."""
+    with naming_damage(photo, REMEDY), open_png(photo) as picture:
+        return picture.width * picture.height
 
 
 def _parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
