@@ -190,7 +190,6 @@ def states() -> list[dict[str, int]]:
     return [first, second, third, {n: each for n, each in third.items() if n[-1] not in "56"}]
 
 
-@pytest.mark.slow
 def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_path: Path):
     library = FolderLibrary.create(tmp_path / "lib")
     for number in range(JOINED - 1):
@@ -205,9 +204,9 @@ def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_pat
     for folder in every_kill(anew, work):
         kills += 1
         found = held(folder / "lib")
-        assert found in allowed[reached:], f"after {kills} operations"
+        assert found in allowed[reached:], f"in state {kills}"
         reached = allowed.index(found)
-        if kills % 7 == 0:  # the next writer takes it from there
+        if kills % 2 == 0:  # the next writer takes it from there
             FolderLibrary(folder / "lib").verify()
             library = FolderLibrary.create(folder / "lib")
             library.add("/after", made_entries(2))
@@ -215,7 +214,7 @@ def test_killed_anywhere_it_opens_and_misses_at_most_the_scene_in_flight(tmp_pat
             named = {each.file for each in read_manifest(folder / "lib").shards}
             assert {each.name for each in (folder / "lib" / SHARDS).iterdir()} == named
             assert not [each for each in (folder / "lib").iterdir() if each.name.startswith(".")]
-    assert kills > 200, kills
+    assert kills > 80, kills
     assert reached == len(allowed) - 1
 
 
