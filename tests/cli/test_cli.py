@@ -184,7 +184,8 @@ def test_options_that_cannot_be_are_bad_input(
     photos = str(made_photos(tmp_path / "photos"))
     words = ["reconstruct", photos, "-o", str(tmp_path / "a.itk"), "--model", model]
     cases = {("--device", "abacus"): "none that torch knows", ("--seed", "-1"): "seed must lie",
-             ("--max-views", "0"): "at least one view"}  # fmt: skip
+             ("--max-views", "0"): "at least one view", ("--pixels", "1000"): "must lie in 64..512",
+             ("--pixels", "100"): "must be a multiple of the 8 pixels"}  # fmt: skip
     if not torch.cuda.is_available():
         cases[("--device", "cuda")] = "no CUDA device"
     for options, message in cases.items():

@@ -102,6 +102,19 @@ def test_the_report_says_how_photos_were_disturbed(folder, capsys):
     assert ", photos disturbed: focal2 |" in capsys.readouterr().out
 
 
+def test_the_model_sees_the_photos_at_the_size_that_is_asked_for(folder, capsys):
+    words = command(folder, "--scenes", "1", "--targets-per-scene", "1")
+    assert main([*words, "--pixels", "64"]) == 0
+    assert "The model saw the photos at 64 pixels." in capsys.readouterr().out
+    assert main([*words, "--pixels", "72", "--markdown"]) == 0
+    assert ", photos of 72 pixels |" in capsys.readouterr().out
+    for pixels, message in (("70", "needs multiples of 8"), ("0", "--pixels must lie in 64..512")):
+        assert main([*words, "--pixels", pixels]) == 2
+        assert message in capsys.readouterr().err
+    assert main([*words, "--frame-pixels", "64"]) == 2
+    assert "--frame-pixels is of captures" in capsys.readouterr().err
+
+
 def test_given_geometry_leaves_its_errors_null(folder, capsys):
     assert main(command(folder, "--json", "--geometry", "given", "--targets-per-scene", "1")) == 0
     result = json.loads(capsys.readouterr().out)

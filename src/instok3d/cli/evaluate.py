@@ -51,6 +51,8 @@ def run(
     scenes: int | None = None,
     targets_per_scene: int | None = None,
     frame_step: int = 1,
+    frame_pixels: int | None = None,
+    pixels: int | None = None,
     outlines: Path | None = None,
     index: Path | None = None,
     all_targets: bool = False,
@@ -97,6 +99,8 @@ def run(
         targets_per_scene: How many i of each room (rooms-2view), 3 as a rule; the most targets of
             each capture, 100 as a rule.
         frame_step: Only every so many frames of a capture are used.
+        frame_pixels: Height of the frames of a capture; that of the model's training as a rule.
+        pixels: Height at which the model sees the context photos, instead of that of the targets.
         outlines: A folder of outlines of the objects in photos of captures, for AP, instead of
             those that come with the package (docs/formats.md).
         index: The evaluation index of RealEstate10K, a JSON file (re10k-2view).
@@ -136,6 +140,7 @@ def run(
     from instok3d.objectives.lpips import load_lpips
     from instok3d.progress import progress_bar
     from instok3d.refinement.settings import check_steps
+    from instok3d.scene.reconstruct import checked_side
 
     of_captures = protocol.startswith("capture")
     bare = of_captures or protocol.startswith("rooms-")
@@ -144,6 +149,11 @@ def run(
         raise ValueError(f"--pose-alignment-steps must be 0 or more, got {steps}")
     if outlines is not None and not of_captures:
         raise ValueError(f"--outlines are of photos of captures, {protocol} has its own masks")
+    if frame_pixels is not None and not of_captures:
+        raise ValueError(f"--frame-pixels is of captures, the frames of {protocol} have their size")
+    for name, side in (("--frame-pixels", frame_pixels), ("--pixels", pixels)):
+        if side is not None:
+            checked_side(side, name)
     check_steps(refine)
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
@@ -152,6 +162,7 @@ def run(
             "--model": model is not None and tracker != "predicted-depth",
             "--geometry": geometry not in (None, "given"),
             "--refine": refine > 0,
+            "--pixels": pixels is not None,
             "--clean-up": clean_up,
         }
         check_options(method, protocol, given)
@@ -175,13 +186,14 @@ def run(
         id_agreement=of_captures,
         objects=objects,
         instances_3d=instances_3d,
+        pixels=pixels,
         disturb=disturb,
     )
     distance = None if lpips is None else load_lpips(lpips)
     if protocol in ("capture", "capture-2view", "capture-8view"):
         runs = capture_runs(
             data, protocol, model=model, num_captures=scenes, targets_per_scene=targets_per_scene,
-            frame_step=frame_step, outlines=outlines, unit=unit,
+            frame_step=frame_step, frame_pixels=frame_pixels, outlines=outlines, unit=unit,
         )  # fmt: skip
     elif protocol in ("rooms-2view", "rooms-8view"):
         most = 3 if targets_per_scene is None else targets_per_scene
@@ -191,7 +203,7 @@ def run(
     measured = None
     reports = []
     for each in runs:
-        asked = _checked(each.scenes, model) if method == "tokenizer" else each.scenes
+        asked = _checked(each.scenes, model, pixels) if method == "tokenizer" else each.scenes
         if asked is None and of_captures:
             continue  # each was left out with a warning; the other protocol may have some
         if measured is None:
@@ -265,7 +277,7 @@ def _print(
 
 
 def _checked(
-    asked: "Iterable[ProtocolScene]", model: Path | None
+    asked: "Iterable[ProtocolScene]", model: Path | None, pixels: int | None
 ) -> "Iterable[ProtocolScene] | None":
     """The same scenes, the first of which was looked at: would the model fit in memory?
 
@@ -281,6 +293,8 @@ def _checked(
     first = list(islice(scenes, 1))
     for scene in first:
         _, views, _, height, width = scene.samples[0].context.images.shape
+        if pixels is not None:
+            height, width = pixels, round(pixels * width / height)
         work = Work(views, height, width)
         check_memory(*read_sizes(model), work, advice="choose a protocol with fewer")
     return chain(first, scenes) if first else None

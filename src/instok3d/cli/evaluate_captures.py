@@ -44,6 +44,7 @@ def capture_runs(
     num_captures: int | None,
     targets_per_scene: int | None,
     frame_step: int,
+    frame_pixels: int | None,
     outlines: Path | None,
     unit: Unit | None,
 ) -> list[Run]:
@@ -52,10 +53,11 @@ def capture_runs(
     Args:
         data: A capture or a folder of captures.
         protocol: One, or capture for both.
-        model: Its card says how large frames are.
+        model: Its card says how large frames are, if `frame_pixels` does not.
         num_captures: Only the first so many; None for all.
         targets_per_scene: See `captures.capture_choices`; None for as many as a rule.
         frame_step: See `captures.read_capture`.
+        frame_pixels: Height of the frames.
         outlines: A folder; None takes those of the package.
         unit: In which the model answers, if it learned one.
 
@@ -68,7 +70,7 @@ def capture_runs(
                         ("--frame-step", frame_step)):  # fmt: skip
         if value is not None and value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}")
-    side = int(read_card(model).get("image_side", IMAGE_SIDE))
+    side = frame_pixels or int(read_card(model).get("image_side", IMAGE_SIDE))
     known = read_outlines(OWN_OUTLINES if outlines is None else outlines)
     captures = []
     folders = find_captures(data)[:num_captures]

@@ -27,6 +27,7 @@ def run(
     teacher: str | None = None,
     keep_interrupted: bool = False,
     max_views: int = 16,
+    pixels: int | None = None,
     seed: int = 0,
     device: str = "cpu",
     overwrite: bool = False,
@@ -59,6 +60,8 @@ def run(
         keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
             second one ends the command.
         max_views: Of more photos, this many are chosen to cover all.
+        pixels: Height at which the model sees the photos, a multiple of 8, instead of the 128 of
+            its training: more anchors and finer borders for more time.
         seed: Same photos, model and seed give the same bytes, on one machine with as many threads.
         device: Where the model runs, such as cuda.
         overwrite: Replace a scene that is already there.
@@ -71,8 +74,8 @@ def run(
         photos[0] if len(photos) == 1 else list(photos), output, cameras=cameras,
         geometry=geometry, allow_outside=allow_outside, up=up, model=model, refine=refine,
         clean_up=clean_up, semantics=semantics, teacher=teacher, keep_interrupted=keep_interrupted,
-        max_views=max_views, seed=seed, device=device, overwrite=overwrite, json=json,
-        timings=timings,
+        max_views=max_views, pixels=pixels, seed=seed, device=device, overwrite=overwrite,
+        json=json, timings=timings,
     )  # fmt: skip
 
 
@@ -91,6 +94,7 @@ def make_scene(
     teacher: str | None = None,
     keep_interrupted: bool = False,
     max_views: int = 16,
+    pixels: int | None = None,
     seed: int = 0,
     device: str = "cpu",
     overwrite: bool = False,
@@ -116,7 +120,7 @@ def make_scene(
                 photos, cameras=cameras, geometry=geometry, allow_outside=allow_outside, up=up,
                 model=model, seed=seed, refine=DEFAULT_STEPS if refine is None else refine,
                 clean_up=clean_up, semantics=semantics, teacher=teacher,
-                max_views=max_views, device=device, progress=clock.begin, stop=stop,
+                max_views=max_views, pixels=pixels, device=device, progress=clock.begin, stop=stop,
             )  # fmt: skip
         with plain_warnings():
             save_with_previews(scene, output, overwrite=overwrite, progress=clock.begin)

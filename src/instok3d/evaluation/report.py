@@ -135,6 +135,8 @@ def notes(report: EvaluationReport) -> list[str]:
         )
     if figures.gaussians is not None:
         lines.append(_cost_note(figures))
+    if report.settings.pixels:
+        lines.append(f"The model saw the photos at {report.settings.pixels} pixels.")
     if report.settings.disturb:
         lines.append(f"The context photos were disturbed: {report.settings.disturb}.")
     if report.settings.refine:
@@ -237,6 +239,8 @@ def results_rows(
         machine: What it ran on.
     """
     model = report.model
+    if report.settings.pixels:
+        model += f", photos of {report.settings.pixels} pixels"
     if report.settings.refine:
         model += f", refined {report.settings.refine} steps"
     if report.settings.clean_up:

@@ -55,6 +55,8 @@ class EvaluationSettings:
     """Also measure whether each thing is one whole object (`object_quality`)."""
     instances_3d: bool = False
     """Also match groups to the true instances in space (`instances_3d`)."""
+    pixels: int | None = None
+    """Height at which the model sees the context photos; None: that of the targets."""
     disturb: Disturbance | None = None
     """What is done to the context photos first; None leaves them as they are."""
 
@@ -192,7 +194,12 @@ def _method(model: Model | Method, settings: EvaluationSettings) -> Method:
     """What is measured; a model is the tokenizer, shown what the settings say."""
     if not isinstance(model, Method):
         return TokenizerMethod(
-            model, settings.geometry, settings.refine, settings.clean_up, settings.alpha_min
+            model,
+            settings.geometry,
+            settings.refine,
+            settings.clean_up,
+            settings.alpha_min,
+            settings.pixels,
         )
     if "cameras" in model.needs and settings.geometry != "given":
         raise ValueError(

@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import Literal
 
 from instok3d.evaluation.methods import FAR, NEAR, Cost, FittedScene, Need, Shown
+from instok3d.evaluation.seen_size import geometry_at, views_at
 from instok3d.refinement.assignment import reassigned
 from instok3d.refinement.optimization import refine_gaussians
 from instok3d.refinement.settings import RefinementSettings
@@ -41,6 +42,8 @@ class TokenizerMethod:
     """Make whole objects of the groups, as `reconstruct` does by default."""
     alpha_min: float = 0.0
     """Pixels covered no more than this belong to no group."""
+    pixels: int | None = None
+    """Height of the photos that the model sees, and that a refinement looks at; None: theirs."""
 
     @property
     def needs(self) -> frozenset[Need]:
@@ -54,6 +57,10 @@ class TokenizerMethod:
             ValueError: The model's answer is not finite.
         """
         started = perf_counter()
+        size = height, width = shown.views.images.shape[-2:]
+        if self.pixels is not None:
+            views = views_at(shown.views, self.pixels, round(self.pixels * width / height))
+            shown = replace(shown, views=views)
         groups = self.model(shown.views)
         _check_finite(groups)
         scene = FittedScene(
@@ -68,7 +75,13 @@ class TokenizerMethod:
             scene = self._refined(scene, groups, shown)
         if self.clean_up:
             scene = _cleaned(scene, groups, shown)
-        return replace(scene, cost=_cost(scene, groups, perf_counter() - started))
+        geometry = geometry_at(groups.geometry, *size)
+        return replace(
+            scene,
+            geometry=geometry,
+            cameras=geometry.cameras.scene(0),
+            cost=_cost(scene, groups, perf_counter() - started),
+        )
 
     def _refined(self, scene: FittedScene, groups: TokenGroups, shown: Shown) -> FittedScene:
         assert scene.assignment is not None

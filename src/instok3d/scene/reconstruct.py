@@ -35,6 +35,19 @@ TRAINED_ON_ROOMS = (
 )
 IMAGE_SIDE = 128
 """Pixels of a square view, for models whose card does not say `image_side`."""
+MIN_SIDE, MAX_SIDE = 64, 512
+"""Sides of square views that can be asked for, pixels."""
+
+
+def checked_side(pixels: int, name: str = "pixels (--pixels)") -> int:
+    """The side of square views that was asked for, pixels.
+
+    Raises:
+        ValueError: It is out of bounds; calls it by the name.
+    """
+    if not MIN_SIDE <= pixels <= MAX_SIDE:
+        raise ValueError(f"{name} must lie in {MIN_SIDE}..{MAX_SIDE}, got {pixels}")
+    return pixels
 
 
 def load(path: str | Path) -> Scene:
@@ -56,6 +69,7 @@ def reconstruct(
     semantics: str | Path = AUTO,
     teacher: str | None = None,
     max_views: int = 16,
+    pixels: int | None = None,
     device: str | torch.device = "cpu",
     progress: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
@@ -96,6 +110,8 @@ def reconstruct(
             with the default model; "none"; or a file that `train export` wrote for this model.
         teacher: The 2D encoder of that file, such as "lseg:FILE", where the file does not hold it.
         max_views: Of more photos, this many are chosen to cover all.
+        pixels: Height and width at which the model sees the photos, a multiple of its patch size;
+            None takes that of its training. More gives more anchors, which takes longer.
         device: Where the model runs; the scene comes back on the CPU.
         progress: Called with the name of each stage as it begins, and behind a colon with how far
             it is.
@@ -122,7 +138,7 @@ def reconstruct(
     in_memory = isinstance(model, Tokenizer)
     path = None if model is None or in_memory else Path(model)
     card = {} if in_memory else read_card(path)
-    side = int(card.get("image_side", IMAGE_SIDE))
+    side = int(card.get("image_side", IMAGE_SIDE)) if pixels is None else checked_side(pixels)
     photo_set = read_photos(
         photos, height=side, width=side, max_views=max_views, cameras=cameras,
         allow_outside=allow_outside,
@@ -135,6 +151,11 @@ def reconstruct(
             first=source.work(work.views) if isinstance(source, GeometrySource) else None,
         )  # fmt: skip
     tokenizer = model if isinstance(model, Tokenizer) else read_model(path)
+    if side % tokenizer.backbone.patch_size:
+        raise ValueError(
+            f"pixels (--pixels) must be a multiple of the {tokenizer.backbone.patch_size} pixels "
+            f"of the model's patches, got {side}"
+        )
     lifting = find_lifting(semantics, tokenizer, default=model is None, teacher=teacher)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
