@@ -75,6 +75,21 @@ def test_anchors_carry_their_semantic_tokens_through_windows(rng):
         torch.testing.assert_close(found[order], expected[other])
 
 
+def test_features_are_lifted_in_the_windows_alone_that_anchors_come_from(rng, monkeypatch):
+    tokenizer, model = made()
+    photos, features = inputs(rng, 5)
+    windows = view_windows(tokenizer.backbone(photos), 0, 3)
+    cut, lifted = PatchLift.cut, []
+    monkeypatch.setattr(
+        PatchLift,
+        "cut",
+        lambda self, scene, window: lifted.append(window) or cut(self, scene, window),
+    )
+    model(tokenizer, photos, features)
+    assert lifted == [windows[number] for number in sorted({*middle_windows(windows).values()})]
+    assert len(lifted) < len(windows)
+
+
 def test_the_tokenizer_stays_and_the_semantics_learn_through_windows(rng):
     tokenizer, model = made()
     groups, tokens = model(tokenizer, *inputs(rng, 5))

@@ -202,9 +202,10 @@ class Tokenizer(nn.Module):
             drawn = set(middle_windows(windows).values())
             parts = []
             for number, window in enumerate(windows):
-                own_lift = None if lift is None else lift.cut(scene, window)
+                kept = number in drawn  # the others say what belongs together, no more
+                own_lift = lift.cut(scene, window) if kept and lift is not None else None
                 part = self.tokenize(
-                    *cut_window(views, seen, scene, window), draw=number in drawn, lift=own_lift
+                    *cut_window(views, seen, scene, window), draw=kept, lift=own_lift
                 )
                 parts.append(replace(part, geometry=seen))  # frees its copy of the geometry
             scenes.append(join_windows(parts, windows, seen, scene))

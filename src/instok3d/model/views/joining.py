@@ -36,7 +36,8 @@ def join_windows(
     are merged.
 
     Args:
-        parts: The tokens of each window, batches of one.
+        parts: The tokens of each window, batches of one; Gaussians and what is lifted are taken
+            from `middle_windows` alone.
         windows: The view indices of each window.
         geometry: Of all views of the whole batch.
         scene: Index in the batch.
@@ -202,6 +203,8 @@ def _from_middles(
     chosen = middle_windows(windows)
     anchors, gaussians, count = [], [], 0
     for number, (part, window, where) in enumerate(zip(parts, windows, patches, strict=True)):
+        if number not in chosen.values():
+            continue
         mine = [chosen[view] == number for view in range(len(chosen))]
         kept = torch.as_tensor(mine, device=where.device)[where // per_view]
         world_from_first = invert_rigid(geometry.cameras.cam_from_world[scene, window[0]])
