@@ -12,6 +12,7 @@ from instok3d.formats.layouts import LAYOUTS
 from instok3d.formats.object_folder import FORMAT as OBJECTS
 from instok3d.formats.registry import FORMATS
 from instok3d.formats.sidecar import FORMAT as SIDECAR
+from instok3d.hub.manifest import FORMAT as HUB_FORMAT
 from instok3d.model.files import FORMAT as MODEL_FORMAT
 from instok3d.rooms.shards import FORMAT as ROOMS_FORMAT
 from instok3d.scene.record import SceneTokens
@@ -52,7 +53,7 @@ def test_every_tensor_of_a_scene_is_on_the_page(name: str, kind: type):
 
 def test_versions_are_those_of_the_program():
     assert f"| scene folder | `version` of `scene.json` | {VERSION} |" in PAGE
-    for version in (MODEL_FORMAT, ROOMS_FORMAT, OUTLINES_FORMAT):
+    for version in (MODEL_FORMAT, ROOMS_FORMAT, OUTLINES_FORMAT, HUB_FORMAT):
         assert f"| `{version}` |" in PAGE
 
 

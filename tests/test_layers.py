@@ -10,7 +10,8 @@ import instok3d
 
 ROOT = Path(__file__).resolve().parents[1] / "src" / "instok3d"
 ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files", "reading",
-         "transformers_models", "binary_gltf", "pictures", "geometry", "render", "photos", "sfm",
+         "hub", "transformers_models", "binary_gltf", "pictures", "geometry", "render", "photos",
+         "sfm",
          "data", "rooms", "datasets", "weights", "backbones", "model", "semantics", "objectives",
          "refinement", "scene", "webpage", "formats", "library", "batch", "evaluation",
          "training", "baselines", "viewer", "service", "cli"]  # fmt: skip

@@ -19,6 +19,7 @@ from instok3d.batch.scenes import (
     make_scene,
 )
 from instok3d.batch.summary import write_summary
+from instok3d.hub.references import is_hub
 from instok3d.locking import alone_in, remove_leftovers
 from instok3d.progress import progress_bar
 
@@ -68,7 +69,7 @@ def run_batch(
     """
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
-    if options.model is not None and not options.model.is_file():
+    if not (options.model is None or is_hub(options.model) or options.model.is_file()):
         raise FileNotFoundError(f"there is no model {options.model}")
     scenes = find_scenes(photos)
     record = options.record()

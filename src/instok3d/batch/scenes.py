@@ -9,6 +9,7 @@ from pathlib import Path
 
 import torch
 
+from instok3d.hub.references import is_hub
 from instok3d.model.files import load_model
 from instok3d.photos.file_names import IMAGE_SUFFIXES
 from instok3d.photos.video import VIDEO_SUFFIXES
@@ -21,7 +22,7 @@ class Options:
     """What `instok3d batch` takes over for all scenes from `instok3d reconstruct`."""
 
     model: Path | None = None
-    """A model file instead of the default model."""
+    """A model file instead of the default model, or hub:USER/NAME@COMMIT."""
     geometry: str = "nano"
     """Where cameras and depth come from, as in `instok3d reconstruct`."""
     refine: int | None = None
@@ -37,7 +38,9 @@ class Options:
 
     def record(self) -> dict[str, object]:
         """As JSON."""
-        model = None if self.model is None else self.model.resolve().as_posix()
+        model = None if self.model is None else self.model.as_posix()
+        if self.model is not None and not is_hub(self.model):
+            model = self.model.resolve().as_posix()
         return {**vars(self), "model": model}
 
 

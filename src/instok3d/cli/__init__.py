@@ -30,11 +30,12 @@ COMMANDS = {
     "render": "pictures or a film of a scene",
     "export": "a scene as files that other programs open",
     "import": "a scene from a file of Gaussians",
+    "push": "a scene to the Hugging Face hub",
     "library": "the objects of many scenes, found by text or image",
     "doctor": "what this machine has and lacks",
     "evaluate": "measure a model on rooms with known truth",
     "train": "train a model",
-    "models": "weights made elsewhere: list, fetch, convert",
+    "models": "weights made elsewhere: list, fetch, convert; models pushed to the hub",
     "data": "rooms, real data sets and masks to train on",
 }
 """Each is the function `run` of `instok3d.cli.<name>`. Or that module has a table like this one, of

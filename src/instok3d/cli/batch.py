@@ -33,7 +33,7 @@ def run(
         output: Folder for NAME.itk, batch.json with all results, and contact_sheet.jpg.
         workers: Processes; each loads the model once and keeps it.
         library: Add each scene to this library, as `instok3d library add` does.
-        model: A model file instead of the default model.
+        model: A model file instead of the default model, or hub:USER/NAME@REVISION.
         geometry: As in `instok3d reconstruct`.
         refine: As in `instok3d reconstruct`.
         clean_up: As in `instok3d reconstruct`.
@@ -45,7 +45,12 @@ def run(
     from instok3d.batch.run import run_batch
     from instok3d.batch.scenes import Options
     from instok3d.cli.progress import plain_warnings
+    from instok3d.hub.references import is_hub
+    from instok3d.scene.hub_model import find_model
 
+    if is_hub(model):  # once, so that all scenes are made with the same one
+        with plain_warnings():
+            model = Path(find_model(model).name)
     options = Options(model, geometry, refine, clean_up, max_views, seed, device)
     with plain_warnings():
         batch = run_batch(

@@ -80,7 +80,7 @@ def run(
         data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`, or
             of prepared scenes, from `instok3d data prepare`; or a capture, photos with their
             cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
-        model: A model file instead of the default model.
+        model: A model file instead of the default model, or hub:USER/NAME@REVISION.
         method: tokenizer: the model. The others optimise each scene of rooms or ScanNet, from given
             cameras and depth, and all but 3dgs with masks of the context views.
         method_steps: Of such an optimisation; 600 as a rule.
@@ -136,12 +136,16 @@ def run(
     )
     from instok3d.evaluation.instance_ap import ApSettings
     from instok3d.evaluation.run import EvaluationSettings, evaluate
+    from instok3d.hub.references import is_hub
     from instok3d.model.files import read_unit
     from instok3d.objectives.lpips import load_lpips
     from instok3d.progress import progress_bar
     from instok3d.refinement.settings import check_steps
+    from instok3d.scene.hub_model import find_model
     from instok3d.scene.reconstruct import checked_side
 
+    if is_hub(model):
+        model = find_model(model).path
     of_captures = protocol.startswith("capture")
     bare = of_captures or protocol.startswith("rooms-")
     steps = ALIGNMENT_STEPS * of_captures if pose_alignment_steps is None else pose_alignment_steps

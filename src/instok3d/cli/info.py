@@ -21,12 +21,12 @@ def run(scene: tyro.conf.Positional[Path], /, json: bool = False) -> None:
     """Print what a scene holds, its units and frame, and what it was made with.
 
     Args:
-        scene: A scene folder.
+        scene: A scene folder, or hub:USER/NAME@REVISION as all commands that read scenes take it.
         json: Print one JSON object.
     """
-    from instok3d.scene.scene import Scene
+    from instok3d.cli.targets import load_scene
 
-    loaded = Scene.load(scene)
+    loaded = load_scene(scene, None)
     if json:
         print_json({"scene": str(scene), **summary(loaded)})
     else:
@@ -81,6 +81,7 @@ def describe(scene: "Scene") -> str:
         f"world: {scene.frame}, {axes(scene)}; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
         *geometry_line(scene),
+        *([f"taken from {made.hub}"] if made.hub else []),
         *(refinement_line(each) for each in made.refinements),
         *clean_up_line(scene),
         *edited_line(scene),

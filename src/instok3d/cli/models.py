@@ -1,4 +1,4 @@
-"""`instok3d models`: weights made elsewhere, listed, fetched and converted."""
+"""`instok3d models`: weights made elsewhere, listed, fetched and converted; own ones pushed."""
 
 import sys
 from collections.abc import Callable
@@ -14,6 +14,7 @@ COMMANDS = {
     "list": "every set of weights: size, licences, what it is for, whether it is here",
     "pull": "fetch weights into the cache and check them",
     "convert": "the tensors of a checkpoint of others as a safetensors file",
+    "push": "a model of your own to the Hugging Face hub",
 }
 """Subcommands of `instok3d models`."""
 
@@ -22,7 +23,7 @@ UNKNOWN = "nobody states it: recorded at the first pull, which needs --trust-fir
 
 def subcommand(name: str) -> Callable[..., None]:
     """One of COMMANDS."""
-    return {"list": list_models, "pull": pull, "convert": convert}[name]
+    return {"list": list_models, "pull": pull, "convert": convert, "push": push}[name]
 
 
 def list_models(json: bool = False) -> None:
@@ -123,6 +124,38 @@ def convert(
         print_json({"file": str(output), **asdict(done)})
     else:
         print(f"{output}: {done.tensors} tensors, {done.bytes} bytes, sha256 {done.sha256}")
+
+
+def push(
+    file: Annotated[Positional[Path], arg(metavar="FILE")],
+    to: Annotated[Positional[str], arg(metavar="hub:USER/NAME")],
+    /,
+    semantics: Path | None = None,
+    licence: str = "",
+    public: bool = False,
+    json: bool = False,
+) -> None:
+    """Push a model to the Hugging Face hub, with a card and the hash of each file.
+
+    `instok3d reconstruct --model hub:USER/NAME@COMMIT` takes it from there. The hub's own tool logs
+    in (`hf auth login`); what is there already stays in earlier commits.
+
+    Args:
+        file: A model file, such as `instok3d train export` writes.
+        to: The repository, which is made where there is none.
+        semantics: What names the objects of its scenes: a file of `instok3d train export` that
+            holds its encoder. It comes with the model.
+        licence: Its identifier on the hub, such as apache-2.0; without it the card says that none
+            is stated.
+        public: Make a new repository one that everybody sees; without it only you do.
+        json: Print one JSON object.
+    """
+    from instok3d.cli.push import show_pushed
+    from instok3d.scene.hub_model import push_model
+
+    show_pushed(
+        push_model(file, to, semantics=semantics, licence=licence, public=public), json=json
+    )
 
 
 def _row(entry: "WeightsEntry") -> dict[str, Any]:

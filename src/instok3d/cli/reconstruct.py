@@ -49,13 +49,15 @@ def run(
         allow_outside: Open photos and depth that the camera file names outside of its folder.
         up: Which way is up in the scene's world, if its estimate is wrong: an axis such as z (-y:
             --up=-y), or x y z.
-        model: A model file instead of the default model.
+        model: A model file instead of the default model, or hub:USER/NAME@REVISION, a model that
+            `instok3d models push` pushed to the Hugging Face hub.
         refine: Steps in which the Gaussians are optimised on the photos; 0 leaves them as the
             model's single pass gives them. None takes the default.
         clean_up: Join groups that hold one thing and give loose pieces to what surrounds them;
             --no-clean-up leaves the model's groups as they are.
         semantics: What names the objects and lets them be searched: auto, the encoder that comes
-            with the default model; none; or a file that `instok3d train export` wrote for --model.
+            with the default model or with one of the hub; none; or a file that
+            `instok3d train export` wrote for --model.
         teacher: The 2D encoder of that file, such as lseg:FILE, where the file does not hold it.
         keep_interrupted: Ctrl-C during the refinement ends it there and keeps what is reached; a
             second one ends the command.

@@ -40,11 +40,13 @@ def load_scene(path: Path, up: tuple[str, ...] | None) -> "Scene":
     Raises:
         FileNotFoundError, ValueError: See `Scene.load` and `given_up`.
     """
+    from instok3d.cli.progress import plain_warnings
     from instok3d.scene.scene import Scene
     from instok3d.scene.vertical import given_up
 
     vertical = None if up is None else given_up(up)
-    scene = Scene.load(path)
+    with plain_warnings():
+        scene = Scene.load(path)
     return scene if vertical is None else replace(scene, vertical=vertical)
 
 

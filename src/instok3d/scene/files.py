@@ -12,6 +12,7 @@ previews/, is not read.
 import hashlib
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,10 +116,14 @@ def check_target(path: Path, *, overwrite: bool) -> None:
         )
 
 
-def load_record(path: Path) -> SceneRecord:
+def load_record(path: Path, *, hub: str = "") -> SceneRecord:
     """What the folder of a scene holds, on the CPU, before any edit of its log.
 
     Older versions are upgraded in memory.
+
+    Args:
+        path: The folder.
+        hub: The name at a commit of the hub that the folder was fetched from, if it was.
 
     Raises:
         FileNotFoundError: No folder there, or a file of it is missing.
@@ -141,6 +146,8 @@ def load_record(path: Path) -> SceneRecord:
     num_anchors = len(tokens.assignment)
     if len(gaussians.anchor_index) and int(gaussians.anchor_index.max()) >= num_anchors:
         raise ValueError(f"{path / 'gaussians.safetensors'}: anchor_index beyond {num_anchors}")
+    if hub:
+        about["provenance"] = replace(about["provenance"], hub=hub)
     if about["near_far"] == FROM_GAUSSIANS:
         about["near_far"] = near_and_far(gaussians, cameras)
     if about["vertical"] is None:

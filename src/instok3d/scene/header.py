@@ -71,6 +71,7 @@ def read_about(header: dict[str, Any]) -> dict[str, Any]:
             edits=tuple(text(each) for each in made.get("edits", ())),
             invented=whole_number(made.get("invented", 0)),
             edited_from=text(made.get("edited_from", "")),
+            hub=text(made.get("hub", "")),
         ),
     }
 

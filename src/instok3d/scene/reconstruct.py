@@ -22,6 +22,7 @@ from instok3d.scene.checked_geometry import checked_geometry
 from instok3d.scene.clean_up import cleaned
 from instok3d.scene.from_tokens import bare_scene, with_objects
 from instok3d.scene.geometry_source import GeometrySource, find_source
+from instok3d.scene.hub_model import ModelFile, find_model
 from instok3d.scene.lifting import AUTO, find_lifting
 from instok3d.scene.record import Provenance, SceneView
 from instok3d.scene.refine import refined
@@ -51,7 +52,7 @@ def checked_side(pixels: int, name: str = "pixels (--pixels)") -> int:
 
 
 def load(path: str | Path) -> Scene:
-    """The scene of a folder that `Scene.save` wrote; see `instok3d.scene.files.load_record`."""
+    """The scene of a folder that `Scene.save` wrote, or of the hub; see `Scene.load`."""
     return Scene.load(path)
 
 
@@ -101,13 +102,14 @@ def reconstruct(
         allow_outside: Let the camera file name photos and depth outside of its folder.
         up: Which way is up in the scene's world, an axis such as "z" or three numbers; None
             estimates it.
-        model: A model file, or a model; the default model when None.
+        model: A model file, hub:USER/NAME@REVISION, or a model; the default model when None.
         seed: Seeds torch for the run; the caller's random state is left as it was.
         refine: Steps of refinement at the size that the model sees; 0 for none. `instok3d.refine`
             refines a scene further, at more pixels too.
         clean_up: Join groups that hold one thing, and give loose pieces to what surrounds them.
         semantics: What names the objects and lets them be searched: "auto", the encoder that comes
-            with the default model; "none"; or a file that `train export` wrote for this model.
+            with the default model or with one of the hub; "none"; or a file that `train export`
+            wrote for this model.
         teacher: The 2D encoder of that file, such as "lseg:FILE", where the file does not hold it.
         max_views: Of more photos, this many are chosen to cover all.
         pixels: Height and width at which the model sees the photos, a multiple of its patch size;
@@ -136,7 +138,8 @@ def reconstruct(
     source, choice_notes = find_source(geometry, posed=cameras is not None)
     begin("photos")
     in_memory = isinstance(model, Tokenizer)
-    path = None if model is None or in_memory else Path(model)
+    found = ModelFile(None) if isinstance(model, Tokenizer) else find_model(model)
+    path = found.path
     card = {} if in_memory else read_card(path)
     side = int(card.get("image_side", IMAGE_SIDE)) if pixels is None else checked_side(pixels)
     photo_set = read_photos(
@@ -156,6 +159,8 @@ def reconstruct(
             f"pixels (--pixels) must be a multiple of the {tokenizer.backbone.patch_size} pixels "
             f"of the model's patches, got {side}"
         )
+    if semantics == AUTO and found.semantics is not None:
+        semantics = found.semantics
     lifting = find_lifting(semantics, tokenizer, default=model is None, teacher=teacher)
     tokenizer = tokenizer.to(device).eval()
     with torch.random.fork_rng(), torch.no_grad():
@@ -185,7 +190,7 @@ def reconstruct(
         _scene_views(photo_set),
         provenance=Provenance(
             generator=generator(),
-            model="in memory" if in_memory else str(card.get("name", file.stem)),
+            model="in memory" if in_memory else found.name or str(card.get("name", file.stem)),
             model_sha256="" if in_memory else sha256_of(file),
             seed=seed,
             geometry=checked.source,

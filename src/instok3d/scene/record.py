@@ -104,6 +104,8 @@ class Provenance:
     """Gaussians that fills of removals added: no photo shows what they show."""
     edited_from: str = ""
     """SHA-256 of gaussians.safetensors of the scene before its first edit; empty without edits."""
+    hub: str = ""
+    """hub:USER/NAME@COMMIT that the scene was loaded from; empty for a folder of this machine."""
 
     @property
     def tokens_give_gaussians(self) -> bool:

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from instok3d.hub.fetching import fetch
+from instok3d.hub.references import is_hub
 from instok3d.model.memory import refuse_beyond
 from instok3d.render import render
 from instok3d.scene.edits.editable import EditableScene
@@ -285,12 +287,22 @@ class Scene(EditableScene):
     def load(path: str | Path, *, edits: bool = True) -> "Scene":
         """The scene of a folder, with the edits of its log; without them it is the source.
 
+        Args:
+            path: The folder, or hub:USER/NAME or hub:USER/NAME@REVISION on the hub.
+            edits: Whether to do the edits.
+
         Raises:
             FileNotFoundError, ValueError: See `instok3d.scene.edits.folder.read_history`.
+            ModuleNotFoundError, PermissionError, ConnectionError: See
+                `instok3d.hub.fetching.fetch`.
         """
+        folder, hub = Path(path), ""
+        if is_hub(path):
+            found = fetch(path, "scene")
+            folder, hub = found.folder, str(found.reference)
         if not edits:
-            return Scene(**vars(load_record(Path(path))))
-        history = read_history(Path(path))
+            return Scene(**vars(load_record(folder, hub=hub)))
+        history = read_history(folder, hub=hub)
         return Scene(**vars(history.current), history=history)
 
     def save(

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from instok3d.scene.edits.folder import editing, keep_log
+from instok3d.scene.edits.folder import check_editable, editing, keep_log
 from instok3d.scene.edits.log import LOG
 from instok3d.scene.previews import save_with_previews, write_previews_anew
 from instok3d.scene.scene import Scene
@@ -25,6 +25,7 @@ class SceneFolder:
         Raises:
             FileNotFoundError, ValueError: See `Scene.load`.
         """
+        check_editable(path)
         self.path = path
         # Before the scene: an edit by another run in between makes the first edit here fail.
         self._log = self._read_log()

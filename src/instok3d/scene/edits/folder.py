@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from instok3d.hub.references import is_hub
 from instok3d.locking import alone_in
 from instok3d.scene.edits.history import History
 from instok3d.scene.edits.log import LOG, read_log, write_log
@@ -13,14 +14,18 @@ from instok3d.scene.record import SceneRecord
 LOCK = ".edits.lock"
 
 
-def read_history(path: Path) -> History:
+def read_history(path: Path, *, hub: str = "") -> History:
     """What the folder of a scene holds, and the edits of its log.
+
+    Args:
+        path: The folder.
+        hub: As `load_record`.
 
     Raises:
         FileNotFoundError: No folder there, or a file of it is missing.
         ValueError: It is of a newer version, damaged, or inconsistent.
     """
-    source = load_record(path)
+    source = load_record(path, hub=hub)
     digest, edited = read_digest(path)
     if edited and not (path / LOG).is_file():
         raise FileNotFoundError(
@@ -59,13 +64,28 @@ def editing(path: Path) -> Iterator[None]:
     """Keep others from editing the scene of a folder during the block.
 
     Raises:
-        ValueError: Another run edits it.
+        ValueError: Another run edits it, or it is on the hub.
         FileNotFoundError: It is not there.
     """
-    if not path.is_dir():
-        raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
+    check_editable(path)
     with alone_in(path / LOCK, f"another run is editing {path}; wait for its end"):
         yield
+
+
+def check_editable(path: Path) -> None:
+    """Fail for what is no folder that a log of edits could be written into.
+
+    Raises:
+        ValueError: It is a name of the hub.
+        FileNotFoundError: It is not there.
+    """
+    if is_hub(path):
+        raise ValueError(
+            f"{path.as_posix()} is on the hub, where nothing is edited: take a copy "
+            f"(instok3d import {path.as_posix()} -o room.itk)"
+        )
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path} is not a scene folder: no folder of this name is there")
 
 
 def keep_log(path: Path, history: History) -> None:

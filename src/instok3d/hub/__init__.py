@@ -1,0 +1,1 @@
+"""Models and scenes on the Hugging Face hub: named, fetched, checked, pushed."""
