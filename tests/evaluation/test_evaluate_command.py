@@ -348,6 +348,20 @@ def test_instances_in_space_are_measured_if_that_is_asked_for(folder, capsys):
     assert "| AP 3D | AP50 3D | AP25 3D |" in capsys.readouterr().out
 
 
+def test_costs_are_stated_if_that_is_asked_for(folder, capsys):
+    words = by_method(folder, "--method", "3dgs", "--costs")
+    assert main([*words, "--json"]) == 0
+    costs = json.loads(capsys.readouterr().out)["costs"]
+    assert set(costs) == {"gaussians", "semantic_units", "label_scalars", "feature_scalars",
+                          "fit_s", "picture_s", "peak_mb"}  # fmt: skip
+    if Path("/proc/self/clear_refs").exists():
+        assert costs["peak_mb"] > 100  # Python and PyTorch alone are more
+    assert main([*words, "--markdown"]) == 0
+    head, line, row = capsys.readouterr().out.splitlines()[:3]
+    assert "| scene (s) | picture (s) | peak (MB) |" in head
+    assert head.count("|") == line.count("|") == row.count("|")
+
+
 def test_methods_that_need_depth_are_refused_for_captures(folder, capsys):
     words = ["evaluate", "capture", "--data", str(folder), "--method", "3dgs"]
     assert main(words) == 2

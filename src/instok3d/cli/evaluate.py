@@ -62,6 +62,7 @@ def run(
     clean_up: bool = False,
     objects: bool = False,
     instances_3d: bool = False,
+    costs: bool = False,
     disturb: Disturbance | None = None,
     lpips: str | None = None,
     baselines: bool = False,
@@ -116,6 +117,8 @@ def run(
             for each instance, share of whole ones, purity, instances found, small ones too.
         instances_3d: Also compare instances in space: points of the context views that belong
             together, over all of these views at once (docs/evaluation.md).
+        costs: Also measure the most memory that is held while a scene is made, and state it with
+            the numbers stored and the times.
         disturb: Do this to the context photos first, always in the same way (docs/evaluation.md);
             the targets stay clean.
         lpips: vgg or alex after 'instok3d models pull lpips', or a file of LPIPS weights; without
@@ -191,6 +194,7 @@ def run(
         objects=objects,
         instances_3d=instances_3d,
         pixels=pixels,
+        costs=costs,
         disturb=disturb,
     )
     distance = None if lpips is None else load_lpips(lpips)

@@ -77,6 +77,8 @@ class Figures:
     """Wall-clock seconds from photos to scene."""
     picture_s: float | None
     """Wall-clock seconds for one target view with its masks."""
+    peak_mb: float | None
+    """Most memory held while a scene was made, 10^6 bytes; the largest over samples."""
     counts: dict[str, int]
     """Scores behind each figure: target views behind pictures, samples behind cameras, depth and
     groups; behind ap the scenes, and behind ap_scene_mean too, that have an instance; in masks the
@@ -87,6 +89,7 @@ PICTURES = ("psnr", "ssim", "lpips", "psnr_depth_scaled")
 MEDIANS = ("rotation_deg", "direction_deg", "length_rel")
 MEANS = ("depth_rel", "depth_rel_unscaled")
 COSTS = ("gaussians", "semantic_units", "label_scalars", "feature_scalars", "fit_s")
+ALL_COSTS = (*COSTS, "picture_s", "peak_mb")
 SOLID = ("ap_3d", "ap50_3d", "ap25_3d")
 OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share")
 
@@ -117,6 +120,7 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
     objects = [score for scene in scenes for score in scene.objects if score is not None]
     solid = average_precision([each for scene in scenes for each in scene.instances_3d])
     costs = [cost for scene in scenes for cost in scene.costs]
+    peaks = [cost.peak_bytes / 1e6 for cost in costs if cost.peak_bytes is not None]
     purities = [purity for score in objects for purity in score.purities]
 
     def total(name: str) -> int:
@@ -153,6 +157,7 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         ap25_3d=_or_none(solid.ap25),
         **{name: _mean([float(getattr(cost, name)) for cost in costs]) for name in COSTS},
         picture_s=_mean([seconds for scene in scenes for seconds in scene.picture_s]),
+        peak_mb=max(peaks, default=None),
         counts={
             **{name: len(values) for name, values in pictures.items()},
             **{name: len(_known(samples, name)) for name in (*MEDIANS, *MEANS)},

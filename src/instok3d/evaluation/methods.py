@@ -88,6 +88,8 @@ class Cost:
     """Wall-clock seconds from the photos to the scene."""
     feature_scalars: int = 0
     """Numbers stored for semantic features (`SemanticTokens.num_scalars`)."""
+    peak_bytes: int | None = None
+    """The most memory held while the scene was made (`peak_memory`); None = not measured."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What a model makes of one sample: pictures and masks at the target cameras, and its geometry."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -13,6 +14,7 @@ from instok3d.evaluation.instance_ap import ImageMatches, PredictedMasks
 from instok3d.evaluation.instances_3d import match_points
 from instok3d.evaluation.methods import FAR, NEAR, Cost, FittedScene, Method, Seen, show
 from instok3d.evaluation.object_quality import FoundObjects, found_objects
+from instok3d.evaluation.peak_memory import Peak, peak_memory
 from instok3d.evaluation.tokenizer_method import GeometryMode, Model, TokenizerMethod
 from instok3d.geometry.camera_alignment import (
     TargetCameras,
@@ -93,6 +95,7 @@ def predict_by(
     with_ids: bool = False,
     with_objects: bool = False,
     with_instances_3d: bool = False,
+    with_peak: bool = False,
     also_aligned: int = 0,
 ) -> Prediction:
     """Fit a method to the context views of a sample and render its scene at the targets.
@@ -106,6 +109,7 @@ def predict_by(
         with_ids: Also render the ids of the context views, for `rendered_ids`.
         with_objects: Also find the objects of the scene in the context views, for `objects`.
         with_instances_3d: Also match groups to true instances in space.
+        with_peak: Also measure the memory that the fit takes, for `Cost.peak_bytes`.
         also_aligned: Steps of `camera_refinement.refined_cameras` for `aligned`; 0 leaves it out.
 
     Raises:
@@ -118,8 +122,10 @@ def predict_by(
     if sample.context.depths is None:
         raise ValueError("context.depths is missing; an evaluation sample carries true depth")
     shown = show(sample, method.needs, masks)
+    measured = peak_memory(shown.views.images.device) if with_peak else nullcontext(Peak())
     try:
-        scene = method.fit(shown)
+        with measured as peak:
+            scene = method.fit(shown)
     except ValueError as error:
         raise ValueError(f"{sample.names[0]} cannot be measured: {error}") from error
     cameras, by_depth = _placed(scene, sample, target_cameras)
@@ -142,7 +148,7 @@ def predict_by(
             num_groups_used=scene.num_groups_used(),
             cameras=at,
             geometry=scene.geometry,
-            cost=scene.cost,
+            cost=replace(scene.cost, peak_bytes=peak.bytes),
             picture_s=seconds / max(len(at.intrinsics), 1),
             images_depth_scaled=by_depth,
             instances_3d=solid,

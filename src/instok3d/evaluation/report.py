@@ -4,7 +4,15 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from instok3d.evaluation.figures import MEANS, MEDIANS, OBJECTS, PICTURES, SOLID, Figures
+from instok3d.evaluation.figures import (
+    ALL_COSTS,
+    MEANS,
+    MEDIANS,
+    OBJECTS,
+    PICTURES,
+    SOLID,
+    Figures,
+)
 from instok3d.evaluation.run import EvaluationReport
 
 KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "rotation_deg", "depth_rel", "groups_used")
@@ -16,7 +24,10 @@ CAPTURE_KEYS = (*KEYS, "id_agreement")
 ALIGNED_KEYS = ("psnr", "ssim", "lpips", "ap", "ap50", "ap25", "id_agreement")
 """What changes where the target cameras are fitted to their photos."""
 
-_DECIMALS = {"psnr": 2, "rotation_deg": 2, "groups_used": 1, "objects_per_instance": 2}
+_DECIMALS = {
+    "psnr": 2, "rotation_deg": 2, "groups_used": 1, "objects_per_instance": 2, "gaussians": 0,
+    "semantic_units": 0, "label_scalars": 0, "feature_scalars": 0, "fit_s": 2, "peak_mb": 0,
+}  # fmt: skip
 
 RESULTS_HEADER = (
     "| protocol | geometry | model | rooms | targets | PSNR | SSIM | LPIPS | AP | AP50 | AP25 "
@@ -28,14 +39,17 @@ RESULTS_HEADER = (
 
 _OBJECT_COLUMNS = ("objects per instance", "whole", "purity", "found", "small found")
 """Of OBJECTS, where they were asked for."""
+_COST_COLUMNS = ("Gaussians", "semantic units", "label numbers", "feature numbers", "scene (s)",
+                 "picture (s)", "peak (MB)")  # fmt: skip
+"""Of ALL_COSTS, likewise."""
 
 
 def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any]:
     """The report as one JSON object: protocol, model, scenes and KEYS; null = not measured.
 
-    `objects` has OBJECTS and `instances_3d` SOLID where they were asked for. Of captures it has
-    CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP), `captures` (the
-    same of each capture) and `aligned` (ALIGNED_KEYS and the `steps`, or null).
+    `objects` has OBJECTS, `instances_3d` SOLID, `costs` ALL_COSTS where they were asked for. Of
+    captures it has CAPTURE_KEYS and `targets`, `outlined_targets` (the target views behind AP),
+    `captures` (the same of each capture) and `aligned` (ALIGNED_KEYS and the `steps`, or null).
 
     Args:
         report: What was measured.
@@ -63,6 +77,8 @@ def as_json(report: EvaluationReport, *, details: bool = False) -> dict[str, Any
         result["objects"] = _known_as(figures, OBJECTS)
     if report.settings.instances_3d:
         result["instances_3d"] = _known_as(figures, SOLID)
+    if report.settings.costs:
+        result["costs"] = _known_as(figures, ALL_COSTS)
     if details:
         result["details"] = {
             "settings": asdict(report.settings),
@@ -173,8 +189,12 @@ def _cost_note(figures: Figures) -> str:
         f"A scene has {figures.gaussians:.0f} Gaussians, {figures.semantic_units:.0f} units with "
         f"semantics, {figures.label_scalars:.0f} numbers for labels and "
         f"{figures.feature_scalars:.0f} for features; it takes {figures.fit_s:.2f} s, a "
-        f"picture with its masks {1000 * (figures.picture_s or 0):.0f} ms."
+        f"picture with its masks {1000 * (figures.picture_s or 0):.0f} ms{_peak_words(figures)}."
     )
+
+
+def _peak_words(figures: Figures) -> str:
+    return "" if figures.peak_mb is None else f"; at most {figures.peak_mb:.0f} MB were held"
 
 
 def _object_notes(figures: Figures) -> list[str]:
@@ -222,6 +242,7 @@ def results_header(report: EvaluationReport) -> str:
     header = RESULTS_HEADER if report.of_rooms else RESULTS_HEADER.replace("rooms", "scenes")
     more = ["same id"] * report.of_captures + [*_OBJECT_COLUMNS] * report.settings.objects
     more += ["AP 3D", "AP50 3D", "AP25 3D"] * report.settings.instances_3d
+    more += [*_COST_COLUMNS] * report.settings.costs
     columns = "".join(f" {name} |" for name in more)
     return header.replace("| groups |", f"| groups |{columns}") + "---|" * len(more)
 
@@ -283,7 +304,8 @@ def results_rows(
 def _keys(report: EvaluationReport) -> Sequence[str]:
     keys = CAPTURE_KEYS if report.of_captures else KEYS
     keys = (*keys, *OBJECTS) if report.settings.objects else keys
-    return (*keys, *SOLID) if report.settings.instances_3d else keys
+    keys = (*keys, *SOLID) if report.settings.instances_3d else keys
+    return (*keys, *ALL_COSTS) if report.settings.costs else keys
 
 
 def _cells(figures: Figures, keys: Sequence[str]) -> Sequence[str]:

@@ -57,6 +57,8 @@ class EvaluationSettings:
     """Also match groups to the true instances in space (`instances_3d`)."""
     pixels: int | None = None
     """Height at which the model sees the context photos; None: that of the targets."""
+    costs: bool = False
+    """Also measure the memory that a scene takes, and state all costs first."""
     disturb: Disturbance | None = None
     """What is done to the context photos first; None leaves them as they are."""
 
@@ -224,6 +226,7 @@ def _predict(
         with_ids=settings.id_agreement,
         with_objects=settings.objects,
         with_instances_3d=settings.instances_3d,
+        with_peak=settings.costs,
         also_aligned=settings.also_aligned,
     )
 
