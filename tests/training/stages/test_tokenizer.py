@@ -191,3 +191,52 @@ def test_weights_of_the_grouping_terms_are_the_configs(model, sample):
     )
     terms = stage.loss(model, sample, 5).terms
     torch.testing.assert_close(terms["seg_given"], 2 * terms["bce"] + 5 * terms["dice"])
+
+
+def parts_with_gradient(config: TokenizerStageConfig, sample: Sample) -> set[str]:
+    """Parts of a new model to which the loss of a step has a gradient."""
+    torch.manual_seed(0)
+    model = TokenizerStage(config).build_model()
+    TokenizerStage(config).loss(model, sample, 5).total.backward()
+    return {
+        name.split(".")[0]
+        for name, parameter in model.named_parameters()
+        if parameter.grad is not None and parameter.grad.abs().max() > 0
+    }
+
+
+def test_rendering_and_grouping_are_trained_alone_where_it_is_asked(sample):
+    config = replace(TINY, assignment_weight=0.1)
+    of_groups = {"group_decoder", "assign"}
+    of_pictures = parts_with_gradient(replace(config, trained="rendering"), sample)
+    assert parts_with_gradient(replace(config, trained="grouping"), sample) == of_groups
+    assert of_pictures == {"fuse", "place", "anchor_decoder", "gaussian_head"}
+    assert parts_with_gradient(config, sample) == of_pictures | of_groups
+
+
+def test_losses_of_the_two_halves_are_those_of_the_whole(model, sample):
+    config = replace(TINY, assignment_weight=0.1)
+    whole, pictures, groups = (
+        TokenizerStage(replace(config, trained=part)).loss(model, sample, 5)
+        for part in ("all", "rendering", "grouping")
+    )
+    torch.testing.assert_close(pictures.total + groups.total, whole.total)
+    assert groups.terms.keys() == whole.terms.keys()
+    assert "dice" not in pictures.terms
+
+
+def test_training_of_grouping_alone_starts_from_a_tokenizer(model):
+    stage = TokenizerStage(replace(TINY, trained="grouping"))
+    other = stage.build_model()
+    stage.load_initial(other, model.state_dict())
+    assert all(torch.equal(v, other.state_dict()[k]) for k, v in model.state_dict().items())
+    backbone = {k: v for k, v in model.state_dict().items() if k.startswith("backbone.")}
+    with pytest.raises(RuntimeError, match="no tokenizer, of which grouping alone"):
+        stage.load_initial(other, backbone)
+    assert stage.config.first_weights().wanted == "a tokenizer that has learned to render"
+
+
+@pytest.mark.parametrize("wrong", [{"freeze_backbone": False}, {"seg_weight": 0.0}])
+def test_grouping_alone_needs_a_frozen_backbone_and_its_loss(wrong):
+    with pytest.raises(ValueError, match="grouping alone is trained"):
+        replace(TINY, trained="grouping", **wrong)

@@ -54,6 +54,12 @@ from instok3d.training.stages.target_cameras import (
 from instok3d.training.stages.window_samples import window_samples
 from instok3d.types import Geometry, Rendering, TokenGroups
 
+Trained = Literal["all", "rendering", "grouping"]
+"""What of the tokenizer a run trains."""
+
+GROUPING_PARTS = ("group_decoder", "assign")
+"""Parts of the tokenizer that make groups; the others make Gaussians."""
+
 
 @dataclass(frozen=True)
 class TokenizerStageConfig(StageConfig):
@@ -63,6 +69,10 @@ class TokenizerStageConfig(StageConfig):
     tokenizer: TokenizerConfig = field(default_factory=TokenizerConfig)
     freeze_backbone: bool = True
     """As the paper does (Sec. 4)."""
+    trained: Trained = "all"
+    """all: rendering and grouping together, as the paper does. rendering: what makes Gaussians, by
+    the rendering loss alone. grouping: D_group and the assignment, by the grouping loss alone, the
+    rest frozen; after a rendering run it is the "sequential" training of the paper's ablation."""
     given_probability: float = 0.5
     """Share of the steps that get true depth and cameras; the others see photos alone. The paper
     always predicts; one set of weights is to serve RGB-D cameras too."""
@@ -105,6 +115,12 @@ class TokenizerStageConfig(StageConfig):
     def __post_init__(self):
         if self.cache and not self.freeze_backbone:
             raise ValueError("a backbone that learns cannot be cached: leave cache out")
+        if self.trained == "grouping" and not self.freeze_backbone:
+            raise ValueError("where grouping alone is trained the backbone stays frozen")
+        if self.trained == "grouping" and self.seg_weight <= 0:
+            raise ValueError(
+                f"seg_weight must be above 0 where grouping alone is trained, got {self.seg_weight}"
+            )
 
     def build(self) -> "TokenizerStage":
         """The stage of these settings."""
@@ -133,7 +149,9 @@ class TokenizerStageConfig(StageConfig):
         )
 
     def first_weights(self) -> FirstWeights:
-        """A backbone from the user; none with cached features."""
+        """A backbone, none with cached features; for grouping alone a tokenizer."""
+        if self.trained == "grouping":
+            return FirstWeights(wanted="a tokenizer that has learned to render")
         return FirstWeights(wanted=None if self.cache else "a trained backbone")
 
     def learns_unit(self) -> bool:
@@ -176,6 +194,9 @@ def new_tokenizer(
     """A tokenizer with random weights, on this backbone or on a new one of the config."""
     model = Tokenizer(backbone or build_backbone(config.backbone), config.tokenizer)
     model.backbone.requires_grad_(not config.freeze_backbone)
+    for name, part in model.named_children():
+        if name != "backbone" and config.trained != "all":
+            part.requires_grad_((name in GROUPING_PARTS) == (config.trained == "grouping"))
     return model
 
 
@@ -204,6 +225,8 @@ class TokenizerStage:
         """
         assert isinstance(model, Tokenizer)
         whole = any(name.startswith("anchor_decoder.") for name in weights)
+        if self.config.trained == "grouping" and not whole:
+            raise RuntimeError("they hold no tokenizer, of which grouping alone is to be trained")
         if self.cache:
             self.cache.check_backbone(of_backbone(weights), "the first weights")
             own = {k: v for k, v in weights.items() if whole and not k.startswith("backbone.")}
@@ -233,36 +256,59 @@ class TokenizerStage:
             rng = np.random.default_rng([5, step])
             sample, geometry = window_samples(sample, geometry, size, rng)
         groups, rendering = self._render(model, sample, geometry, given=given)
-        assert rendering.features is not None
-        images = sample.target.images
+        mode = "given" if given else "predicted"
+        picture, terms = self._picture(rendering, sample, mode)
+        total = picture if config.trained != "grouping" else 0 * picture.detach()
+        if config.trained != "rendering":
+            grouping, more = self._groups(model, groups, rendering, sample, step, mode)
+            total, terms = total + grouping, terms | more
+        terms["void"] = groups.assignment[..., -1].mean()
+        return StepLoss(total, {name: value.detach() for name, value in terms.items()})
+
+    def _picture(
+        self, rendering: Rendering, sample: Sample, mode: str
+    ) -> tuple[Float[Tensor, ""], dict[str, Float[Tensor, ""]]]:
+        """The rendering loss and its parts."""
+        config, images = self.config, sample.target.images
         lpips = self.lpips.to(images.device) if self.lpips else None
         picture = rendering_loss(
             rendering.colors, images, lpips=lpips, lpips_weight=config.lpips_weight
         )
-        total = picture.total
-        mode = "given" if given else "predicted"
-        terms = {f"mse_{mode}": picture.mse}
+        total, terms = picture.total, {f"mse_{mode}": picture.mse}
         if config.lpips_weight:
             terms["lpips"] = picture.lpips
         if config.l1_weight:
             total = total + config.l1_weight * (rendering.colors - images).abs().mean()
         if config.gradient_weight:
             total = total + config.gradient_weight * gradient_error(rendering.colors, images)
+        return total, terms
+
+    def _groups(
+        self,
+        model: Tokenizer,
+        groups: TokenGroups,
+        rendering: Rendering,
+        sample: Sample,
+        step: int,
+        mode: str,
+    ) -> tuple[Float[Tensor, ""], dict[str, Float[Tensor, ""]]]:
+        """The weighted grouping loss and its parts."""
+        config = self.config
+        assert rendering.features is not None
         # The matching refuses NaN; the loop wants to see it as a loss that is not finite.
-        if rendering.features.sum().isfinite():
-            pairs, warm = None, warmed_up(step, weight=1.0, warmup_steps=config.seg_warmup_steps)
-            if config.assignment_weight:
-                assigned = self._assigned(model, groups, sample)
-                pairs = assigned.pairs
-                total = total + warm * config.assignment_weight * assigned.total
-                terms |= {"assigned": assigned.total, "assigned_dice": assigned.dice}
-            grouping = self._grouping(rendering, sample, pairs)
-            total = total + warm * config.seg_weight * grouping.total
-            terms |= {f"seg_{mode}": grouping.total, "bce": grouping.bce, "dice": grouping.dice}
-        else:
-            total = total + rendering.features.sum()
-        terms["void"] = groups.assignment[..., -1].mean()
-        return StepLoss(total, {name: value.detach() for name, value in terms.items()})
+        if not rendering.features.sum().isfinite():
+            return rendering.features.sum(), {}
+        total, terms, pairs = rendering.features.new_zeros(()), {}, None
+        warm = warmed_up(step, weight=1.0, warmup_steps=config.seg_warmup_steps)
+        if config.assignment_weight:
+            assigned = self._assigned(model, groups, sample)
+            pairs = assigned.pairs
+            total = total + warm * config.assignment_weight * assigned.total
+            terms = {"assigned": assigned.total, "assigned_dice": assigned.dice}
+        grouping = self._grouping(rendering, sample, pairs)
+        total = total + warm * config.seg_weight * grouping.total
+        terms |= {f"seg_{mode}": grouping.total, "bce": grouping.bce, "dice": grouping.dice}
+        return total, terms
 
     @property
     def modes(self) -> tuple[Literal["predicted", "given"], ...]:
