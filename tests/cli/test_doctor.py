@@ -5,6 +5,8 @@ import inspect
 import json
 import re
 import tomllib
+from collections.abc import Mapping
+from functools import cache
 from importlib.machinery import ModuleSpec
 from importlib.metadata import packages_distributions
 from importlib.util import find_spec
@@ -48,19 +50,16 @@ def test_doctor_says_whether_each_optional_package_is_there(capsys: pytest.Captu
         assert there or f"pip install 'instok3d[{extra}]'" in findings[module]["state"]
 
 
-@pytest.mark.parametrize("module", OPTIONAL)
-def test_the_extra_that_doctor_names_brings_the_module(module: str):
-    extra, _ = OPTIONAL[module]
-    if find_spec(module) is None:
-        pytest.skip(f"{module} is not installed")
-    brought = {re.split(r"[\[<>=~]", each)[0].replace("-", "_").lower() for each in EXTRAS[extra]}
-    there = {name.replace("-", "_").lower() for name in packages_distributions()[module]}
-    assert brought & there
+@cache
+def distributions() -> Mapping[str, list[str]]:
+    """The installed packages that bring each module."""
+    return packages_distributions()
 
 
-@pytest.mark.parametrize("module", OPTIONAL)
-def test_the_code_uses_the_module_that_doctor_looks_for(module: str):
-    named = {
+@cache
+def named_in_the_code() -> frozenset[str]:
+    """The first words of what the code imports, or names in a string."""
+    return frozenset(
         word.split(".")[0]
         for path in SOURCES
         if path.name != "doctor.py"
@@ -71,8 +70,22 @@ def test_the_code_uses_the_module_that_doctor_looks_for(module: str):
             else [node.value] if isinstance(node, ast.Constant) and isinstance(node.value, str)
             else []
         )
-    }  # fmt: skip
-    assert module in named
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("module", OPTIONAL)
+def test_the_extra_that_doctor_names_brings_the_module(module: str):
+    extra, _ = OPTIONAL[module]
+    if find_spec(module) is None:
+        pytest.skip(f"{module} is not installed")
+    brought = {re.split(r"[\[<>=~]", each)[0].replace("-", "_").lower() for each in EXTRAS[extra]}
+    there = {name.replace("-", "_").lower() for name in distributions()[module]}
+    assert brought & there
+
+
+@pytest.mark.parametrize("module", OPTIONAL)
+def test_the_code_uses_the_module_that_doctor_looks_for(module: str):
+    assert module in named_in_the_code()
 
 
 @pytest.mark.parametrize("built", [False, True])
