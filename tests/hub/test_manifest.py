@@ -59,3 +59,11 @@ def test_the_files_of_scenes_are():
     names = ["scene.json", "edits.jsonl", "edits/0a.safetensors", "semantics/rooms-1.safetensors",
              "inputs/000.png", "previews/inputs/000.png", "previews/contact_sheet.png"]  # fmt: skip
     assert all(ALLOWED["scene"].fullmatch(name) for name in names)
+
+
+def test_a_manifest_that_was_cut_is_refused(tmp_path: Path):
+    whole = written(tmp_path).read_text()
+    for length in range(len(whole)):
+        (tmp_path / "instok3d.json").write_text(whole[:length])
+        with pytest.raises(ValueError, match="is damaged"):
+            read_manifest(tmp_path / "instok3d.json", "model", "x")
