@@ -6,6 +6,7 @@ import pytest
 from PIL import Image
 
 from instok3d.batch import scenes
+from instok3d.batch.pool import Processes
 from instok3d.batch.run import run_batch
 from instok3d.batch.scenes import Options, find_scenes
 from instok3d.cli import main
@@ -75,7 +76,7 @@ def test_two_processes_make_the_scenes_that_one_makes(
 ):
     (photos / "broken" / "a.png").unlink()
     (photos / "broken").rmdir()
-    batch = run_batch(photos, tmp_path / "out", options, workers=2, say=quiet)
+    batch = run_batch(photos, tmp_path / "out", options, executor=Processes(2), say=quiet)
     assert (batch.made, batch.failed) == (2, {})
     for name in ("bath", "kitchen"):
         scene = Scene.load(tmp_path / "out" / f"{name}.itk")
@@ -125,7 +126,7 @@ def test_what_is_no_batch_is_refused(photos: Path, options: Options, tmp_path: P
     with pytest.raises(FileNotFoundError, match="there is no model"):
         run_batch(photos, tmp_path / "out", Options(model=tmp_path / "none.safetensors"))
     with pytest.raises(ValueError, match="workers must be 1 or more, got 0"):
-        run_batch(photos, tmp_path / "out", options, workers=0)
+        Processes(0)
     (photos / "bath.mp4").touch()
     with pytest.raises(ValueError, match=r"would both become bath\.itk"):
         find_scenes(photos)

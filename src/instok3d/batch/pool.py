@@ -1,4 +1,4 @@
-"""Jobs spread over processes; one that dies takes its own job with it and no other."""
+"""Jobs spread over processes of this machine; one that dies takes its own job and no other."""
 
 import os
 import signal
@@ -7,53 +7,47 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Generic, TypeVar
 
-Job = TypeVar("Job")
-Answer = TypeVar("Answer")
+from instok3d.batch.executor import Answer, Job, Outcome, ProcessDiedError
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[Job, Answer]):
-    """What became of a job."""
+class Processes:
+    """An executor of this machine. One process is this one, more are fresh ones."""
 
-    job: Job
-    answer: Answer | None
-    error: Exception | None
-    """Why there is no answer."""
+    workers: int = 1
 
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise ValueError(f"workers must be 1 or more, got {self.workers}")
 
-class ProcessDiedError(Exception):
-    """The process of a job was ended from outside, twice."""
+    @property
+    def threads(self) -> int:
+        """An even share of the cores."""
+        return max(1, (os.cpu_count() or 1) // self.workers)
 
+    def run(
+        self, function: Callable[[Job], Answer], jobs: Sequence[Job]
+    ) -> Iterator[Outcome[Job, Answer]]:
+        """The outcomes of jobs as they come.
 
-def run_jobs(
-    function: Callable[[Job], Answer], jobs: Sequence[Job], workers: int
-) -> Iterator[Outcome[Job, Answer]]:
-    """The outcomes of jobs as they come; their errors are among them and end nothing.
-
-    A job whose process died is run again, alone, since it cannot be told from those beside it; if
-    its process dies once more, that is its outcome.
-
-    Args:
-        function: Can be pickled; runs in fresh processes, or, with one worker, in this one.
-        jobs: Each can be pickled.
-        workers: Processes, which last from job to job.
-    """
-    if workers == 1:
-        for job in jobs:
-            try:
-                yield Outcome(job, function(job), None)
-            except Exception as error:
-                yield Outcome(job, None, error)
-        return
-    again: list[Job] = []
-    yield from _spread(function, jobs, workers, again)
-    for job in again:
-        dead: list[Job] = []
-        yield from _spread(function, [job], 1, dead)
-        if dead:
-            yield Outcome(job, None, ProcessDiedError("its process was killed: too little memory?"))
+        A job whose process died is run again, alone, since it cannot be told from those beside it.
+        """
+        workers = min(self.workers, len(jobs))
+        if workers <= 1:
+            for job in jobs:
+                try:
+                    yield Outcome(job, function(job), None)
+                except Exception as error:
+                    yield Outcome(job, None, error)
+            return
+        again: list[Job] = []
+        yield from _spread(function, jobs, workers, again)
+        for job in again:
+            dead: list[Job] = []
+            yield from _spread(function, [job], 1, dead)
+            if dead:
+                yield Outcome(job, None, ProcessDiedError())
 
 
 def _spread(

@@ -1,13 +1,13 @@
 """A batch from its folder of photos to its folder of scenes; run again, it goes on."""
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from instok3d.batch.pool import Outcome, run_jobs
+from instok3d.batch.executor import Executor, Outcome
+from instok3d.batch.pool import Processes
 from instok3d.batch.record import DONE, FAILED, SceneResult, read_results, write_results
 from instok3d.batch.scenes import (
     ENDING,
@@ -46,7 +46,7 @@ def run_batch(
     output: Path,
     options: Options,
     *,
-    workers: int = 1,
+    executor: Executor | None = None,
     keep: Callable[[Path, bool], None] | None = None,
     say: Callable[[str], None] = print,
 ) -> Batch:
@@ -59,7 +59,8 @@ def run_batch(
         photos: A folder of folders.
         output: Folder for NAME.itk, batch.json and contact_sheet.jpg; made if it is not there.
         options: For all scenes.
-        workers: Processes.
+        executor: Where scenes are made; None makes them in this process. Its machines see the
+            folders and the model at the same places.
         keep: Called with the place of each scene that is there, and whether this run made it.
         say: Takes a line for each scene that failed, and for each that `keep` refused.
 
@@ -67,8 +68,7 @@ def run_batch(
         FileNotFoundError: There is no such folder, or no such model.
         ValueError: It holds no scene, the output is of another batch, or another run writes there.
     """
-    if workers < 1:
-        raise ValueError(f"workers must be 1 or more, got {workers}")
+    executor = executor or Processes()
     if not (options.model is None or is_hub(options.model) or options.model.is_file()):
         raise FileNotFoundError(f"there is no model {options.model}")
     scenes = find_scenes(photos)
@@ -84,9 +84,8 @@ def run_batch(
             for name in scenes
             if name in known and _is_there(known[name], output / f"{name}{ENDING}", prints[name])
         }
-        threads = max(1, (os.cpu_count() or 1) // workers)
         jobs = [
-            SceneJob(name, place, output / f"{name}{ENDING}", options, threads)
+            SceneJob(name, place, output / f"{name}{ENDING}", options, executor.threads)
             for name, place in scenes.items()
             if name not in results
         ]
@@ -103,7 +102,7 @@ def run_batch(
         for name in list(results):
             kept(name, made=False)
         with progress_bar(len(scenes), unit="scene", done=begun) as bar:
-            for outcome in run_jobs(_timed, jobs, min(workers, max(1, len(jobs)))):
+            for outcome in executor.run(timed_scene, jobs):
                 name = outcome.job.name
                 results[name] = _result(outcome, prints[name])
                 write_results(output, record, results)
@@ -112,12 +111,14 @@ def run_batch(
                 else:
                     kept(name, made=True)
                 bar.update()
+        remove_leftovers(output)  # of processes that were killed
         write_results(output, record, results)
         write_summary(output, [n for n in scenes if results[n].state == DONE], ENDING)
     return Batch({name: results[name] for name in scenes}, len(results) - begun, tuple(not_kept))
 
 
-def _timed(job: SceneJob) -> tuple[MadeScene, float]:
+def timed_scene(job: SceneJob) -> tuple[MadeScene, float]:
+    """Make one scene; what came out, and the seconds it took."""
     begin = time.monotonic()
     return make_scene(job), time.monotonic() - begin
 

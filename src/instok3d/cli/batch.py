@@ -1,18 +1,24 @@
 """`instok3d batch`: many scenes at once, from a folder of folders of photos."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+if TYPE_CHECKING:
+    from instok3d.batch.executor import Executor
 
 
 def run(
     photos: tyro.conf.Positional[Path],
     /,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    workers: int = 1,
+    workers: int | None = None,
+    ray: str | None = None,
     library: str | None = None,
     model: Path | None = None,
     geometry: Literal["nano", "da3-small", "da3-base", "vggt-1b", "colmap", "auto"] = "nano",
@@ -31,7 +37,10 @@ def run(
     Args:
         photos: A folder with a subfolder of photos, or a video, for each scene.
         output: Folder for NAME.itk, batch.json with all results, and contact_sheet.jpg.
-        workers: Processes; each loads the model once and keeps it.
+        workers: Processes; each loads the model once and keeps it. One, or one for each machine of
+            a Ray cluster.
+        ray: Work on this Ray cluster: HOST:PORT, `auto` for the one of this machine, or `local`.
+            Its machines need this package, and the folders at the same places.
         library: Add each scene to this library, as `instok3d library add` does.
         model: A model file instead of the default model, or hub:USER/NAME@REVISION.
         geometry: As in `instok3d reconstruct`.
@@ -51,10 +60,13 @@ def run(
     if is_hub(model):  # once, so that all scenes are made with the same one
         with plain_warnings():
             model = Path(find_model(model).name)
+    if ray is not None:  # its processes work elsewhere
+        photos, output = photos.absolute(), output.absolute()
+        model = model if model is None or is_hub(model) else model.absolute()
     options = Options(model, geometry, refine, clean_up, max_views, seed, device)
-    with plain_warnings():
+    with plain_warnings(), _executor(ray, workers, device) as executor:
         batch = run_batch(
-            photos, output, options, workers=workers, say=_say,
+            photos, output, options, executor=executor, say=_say,
             keep=None if library is None else partial(_keep, library),
         )  # fmt: skip
     done = len(batch.results) - len(batch.failed)
@@ -72,6 +84,19 @@ def run(
             f"{output}: {done} scenes, {len(batch.failed)} failed, {batch.made} tried in this run"
         )
     return 2 if batch.failed or batch.not_kept else 0
+
+
+@contextmanager
+def _executor(ray: str | None, workers: int | None, device: str) -> "Iterator[Executor]":
+    """Processes of this machine, or of a cluster during the block."""
+    from instok3d.batch.pool import Processes
+    from instok3d.batch.ray_actors import ray_actors
+
+    if ray is None:
+        yield Processes(1 if workers is None else workers)
+        return
+    with ray_actors(ray, workers, needs_gpu=device.startswith("cuda")) as executor:
+        yield executor
 
 
 def _keep(library: str, place: Path, made: bool) -> None:

@@ -24,6 +24,7 @@ OPTIONAL = {
     "pxr": ("usd", "writing .usdz"),
     "viser": ("view", "looking at scenes in the browser"),
     "mcp": ("serve", "scenes for robots and assistants"),
+    "ray": ("ray", "batches on the machines of a Ray cluster"),
     "pymilvus": ("search", "libraries of scenes on a Milvus server"),
 }
 """Modules of optional packages: the extra that brings each, and what it is for."""
