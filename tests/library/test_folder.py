@@ -328,3 +328,17 @@ def test_a_manifest_of_other_things_is_refused(tmp_path: Path, change: dict):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(ValueError, match=r"library\.json is damaged"):
         FolderLibrary(tmp_path / "lib")
+
+
+def test_one_object_is_found_by_scene_and_id_whatever_shard_it_is_in(tmp_path: Path):
+    library = FolderLibrary.create(tmp_path / "lib")
+    for number in range(10):  # the first eight are joined
+        library.add(f"room{number}", made_entries(3, seed=number))
+    library.add("room3", made_entries(2, seed=40))
+    for name, seed, count in (("room0", 0, 3), ("room9", 9, 3), ("room3", 40, 2)):
+        for wanted in made_entries(count, seed=seed).objects:
+            assert library.entry(name, wanted.id).thumbnail == wanted.thumbnail
+    with pytest.raises(KeyError, match="'room3' has no object 3 in the library"):
+        library.entry("room3", 3)
+    with pytest.raises(KeyError, match="'room77' is not in the library"):
+        library.entry("room77", 1)

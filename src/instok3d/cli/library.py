@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from instok3d.library.entries import Encoder, Match
-    from instok3d.semantics.teacher import Teacher
 
 COMMANDS = {
     "add": "the objects of scenes into a library",
@@ -100,7 +99,7 @@ def query(
         from instok3d.cli.info import print_json
 
         print_json({"library": library, "encoder": opened.encoder.name,
-                    "matches": [_row(each) for each in found]})  # fmt: skip
+                    "matches": [each.to_json() for each in found]})  # fmt: skip
         return
     for rank, match in enumerate(found, 1):
         label = f" ({match.object.label})" if match.object.label else ""
@@ -182,47 +181,17 @@ def _embedding(
     encoder: "Encoder", library: str, teacher: str | None, text: str | None, image: Path | None
 ) -> "np.ndarray":
     """What was asked for, in the space of a library's encoder."""
+    from instok3d.library.questions import library_teacher, picture_embedding, text_embedding
     from instok3d.photos.image_decoding import decode_photo
 
     if text is not None and not text.strip():
         raise ValueError("the text is empty: describe what to look for")
-    asked = _teacher(encoder, library, teacher)
+    asked = library_teacher(encoder, library, teacher)
     if text is not None:
-        return asked.text([text])[0].cpu().numpy()
+        return text_embedding(asked, text)
     assert image is not None
     photo = decode_photo(image, height=1, width=1, fit=lambda whole: whole)  # as it is
-    return asked.crop(photo.image).cpu().numpy()
-
-
-def _teacher(encoder: "Encoder", library: str, given: str | None) -> "Teacher":
-    """What turns questions into embeddings of a library's encoder."""
-    from instok3d.library.entries import Encoder, check_encoder
-    from instok3d.semantics.query.shipped import shipped_encoder
-    from instok3d.semantics.teachers import FORMS, open_teacher
-
-    if given is not None:
-        asked = open_teacher(given)
-        check_encoder(encoder, Encoder(asked.name, asked.channels), library)
-        return asked
-    shipped = shipped_encoder([encoder.name])
-    if shipped is None:
-        raise ValueError(
-            f"{library} holds features of {encoder.name!r}: name its weights with --teacher, one "
-            f"of {', '.join(FORMS)}"
-        )
-    return shipped.teacher
-
-
-def _row(match: "Match") -> dict[str, Any]:
-    item = match.object
-    return {
-        "scene": match.scene,
-        "id": item.id,
-        "key": item.key,
-        "label": item.label,
-        "score": match.score,
-        "box": {"min": item.box[0].tolist(), "max": item.box[1].tolist()},
-    }
+    return picture_embedding(asked, photo.image)
 
 
 def _write_thumbnails(folder: Path, matches: "Sequence[Match]") -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +29,12 @@ class Entry:
     """Lowest and highest corner, scene units."""
     thumbnail: bytes
     """A JPEG file."""
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the thumbnail, in plain values; lengths in scene units."""
+        low, high = self.box.tolist()
+        return {"id": self.id, "key": self.key, "label": self.label,
+                "box": {"min": low, "max": high}}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,10 @@ class Match:
     object: Entry
     score: float
     """Cosine of its embedding and what was asked for."""
+
+    def to_json(self) -> dict[str, Any]:
+        """In plain values."""
+        return {"scene": self.scene, "score": self.score, **self.object.to_json()}
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from instok3d.files import sha256_of
 from instok3d.library.entries import (
     Audit,
     Encoder,
+    Entry,
     Match,
     SceneEntries,
     StoredScene,
@@ -114,6 +115,26 @@ class FolderLibrary:
             Match(shard.scene_of[addition], shard.entry(row), -score)
             for score, addition, row, shard in best[:count]
         ]
+
+    def entry(self, scene: str, number: int) -> Entry:
+        """One object of a scene.
+
+        Args:
+            scene: As `scenes` names it.
+            number: The object's id.
+
+        Raises:
+            KeyError: There is no such scene, or it has no such object here.
+            ValueError: A shard is damaged.
+        """
+        if scene not in self._present:
+            raise KeyError(f"the scene {scene!r} is not in the library")
+        addition = self._present[scene].number
+        shard = next((each for each in self._shards if addition in each.scene_of), None)
+        row = None if shard is None else shard.row_of(addition, number)
+        if shard is None or row is None:
+            raise KeyError(f"the scene {scene!r} has no object {number} in the library")
+        return shard.entry(row)
 
     def add(self, scene: str, entries: SceneEntries) -> None:
         """Add a scene, or put it in place of what was added from the same place.

@@ -127,6 +127,12 @@ class Shard:
         """The number of the addition that a row belongs to."""
         return int(self._columns["additions"][row])
 
+    def row_of(self, addition: int, number: int) -> int | None:
+        """The row of the object with an id in an addition; None where there is none."""
+        rows = np.flatnonzero(self._columns["additions"] == addition)
+        found = rows[self._columns["ids"][rows] == number]
+        return int(found[0]) if len(found) else None
+
     def entry(self, row: int) -> Entry:
         """The object of a row.
 
