@@ -1,16 +1,26 @@
-"""Three scenes behind a real server, for tests of the service."""
+"""Three scenes, and a library of two others, behind a real server, for tests of the service."""
 
 import http.client
+import io
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from box_room import OFFICE, box_room, with_cameras
+from instok3d.library.entries import Encoder
+from instok3d.library.folder import FolderLibrary
+from instok3d.service.library_tools import LibraryTools
+from instok3d.service.tool import Tools
 from instok3d.service.tools import Rooms
 from instok3d.service.web import serving
 from instok3d.viewer.guard import Guard, random_token
 from instok3d.viewer.serving import free_port
+from made_encoder import MadeTeacher
+from made_entries import made_entries
 from made_scene import made_empty_scene
 from patience import SECONDS
 
@@ -22,15 +32,23 @@ def office_rooms() -> Rooms:
     return Rooms({"monday": before, "friday": after, "empty": made_empty_scene()})
 
 
+def office_library(folder: Path) -> LibraryTools:
+    """A library whose scenes are gone."""
+    library = FolderLibrary.create(folder / "lib")
+    for seed, place in enumerate(("/data/north/room.itk", "/data/south/room.itk")):
+        library.add(place, made_entries(3, seed, Encoder("made-3", 3), ["chair", "lamp"]))
+    return LibraryTools(FolderLibrary(folder / "lib"), MadeTeacher())
+
+
 @contextmanager
-def served(rooms: Rooms) -> Iterator[Guard]:
+def served(*tools: Tools) -> Iterator[Guard]:
     guard = Guard(random_token(), "127.0.0.1", free_port("127.0.0.1", 0))
-    with serving(rooms, guard):
+    with serving(tools, guard):
         yield guard
 
 
 def ask(
-    guard: Guard, target: str, method: str = "GET", **headers: str
+    guard: Guard, target: str, method: str = "GET", body: bytes | None = None, **headers: str
 ) -> tuple[int, http.client.HTTPMessage, bytes]:
     """The answer to a request with the token, unless another Authorization is given."""
     connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=SECONDS)
@@ -38,7 +56,9 @@ def ask(
     for name, value in ({"Authorization": f"Bearer {guard.token}"} | headers).items():
         if value:
             connection.putheader(name, value)
-    connection.endheaders()
+    if body is not None:
+        connection.putheader("Content-Length", str(len(body)))
+    connection.endheaders(body)
     response = connection.getresponse()
     found = response.status, response.headers, response.read()
     connection.close()
@@ -49,3 +69,9 @@ def value_of(guard: Guard, target: str) -> Any:
     status, headers, body = ask(guard, target)
     assert (status, headers["Content-Type"]) == (200, "application/json"), body
     return json.loads(body)
+
+
+def png(width: int = 8, height: int = 8) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", (width, height), (200, 20, 20)).save(stream, "PNG")
+    return stream.getvalue()

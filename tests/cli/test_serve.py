@@ -11,7 +11,9 @@ from urllib.parse import urlsplit
 import pytest
 
 from instok3d.cli import main
-from instok3d.cli.serve import named_scenes
+from instok3d.cli.serve import named_scenes, opened
+from instok3d.semantics.query import shipped
+from instok3d.service.library_tools import LibraryTools
 from made_encoder import made_room, write_encoder
 from made_scene import made_scene, made_tokens
 from patience import SECONDS
@@ -45,18 +47,34 @@ def test_it_prints_an_address_that_answers_and_ends_well_by_ctrl_c(room: Path):
     assert (out, err) == ("", "")
 
 
-def test_the_scenes_of_a_library_and_of_folders_have_names(tmp_path: Path):
-    teacher = write_encoder(tmp_path / "encoder.safetensors")
+def test_scenes_of_one_name_are_told_apart(tmp_path: Path):
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
-        made_room(teacher).save(tmp_path / folder / "room.itk")
-    places = tuple(tmp_path / folder / "room.itk" for folder in ("one", "two"))
+        made_scene(made_tokens()).save(tmp_path / folder / "room.itk")
+    places = [tmp_path / folder / "room.itk" for folder in ("one", "two")]
     assert list(named_scenes(places)) == ["room.itk", "room.itk-2"]
+
+
+def test_a_library_and_scenes_are_served_together(
+    tmp_path: Path, room: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+):  # fmt: skip
+    teacher = write_encoder(tmp_path / "encoder.safetensors")
+    made_room(teacher).save(tmp_path / "seen.itk")
     library = tmp_path / "rooms.lib"
-    assert main(["library", "add", str(library), *map(str, places)]) == 0
-    served = named_scenes((library,))
-    assert sorted(served) == ["room.itk", "room.itk-2"]
-    assert all(len(scene.objects) == 2 for scene in served.values())
+    assert main(["library", "add", str(library), str(tmp_path / "seen.itk")]) == 0
+    capsys.readouterr()
+    alone = opened((library,), f"rooms:{tmp_path / 'encoder.safetensors'}")
+    assert [tool.name for each in alone for tool in each.tools()][:2] == [
+        "library_scenes", "library_query",
+    ]  # fmt: skip
+    assert isinstance(alone[0], LibraryTools)
+    assert len(alone[0].query("chair", 5)["matches"]) == 2
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path / "none.safetensors")
+    both = opened((library, room), None)
+    assert len({tool.name for each in both for tool in each.tools()}) == 14
+    assert "note: the library cannot be searched: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -64,6 +82,7 @@ def test_the_scenes_of_a_library_and_of_folders_have_names(tmp_path: Path):
     [
         ([], "no scene was named: give scene folders"),
         (["nowhere.itk"], "nowhere.itk"),
+        (["ROOM", "--teacher", "rooms:x"], "--teacher is for questions to a library, and none"),
         (["ROOM", "--host", "0.0.0.0"], "--host 0.0.0.0 lets other machines in: give a --token"),
         (["ROOM", "--token", "short"], "the token must be 16 to 128 letters"),
         (["ROOM", "--port", "70000"], "port must be 0 (any) or up to 65535, got 70000"),

@@ -1,4 +1,4 @@
-"""Real requests to a real server of three scenes."""
+"""Real requests to a real server of three scenes and a library."""
 
 import io
 import json
@@ -13,7 +13,7 @@ from PIL import Image
 from instok3d.service.openapi import REFUSALS
 from instok3d.service.tools import Rooms
 from instok3d.viewer.guard import Guard
-from served_office import ask, office_rooms, served, value_of
+from served_office import ask, office_library, office_rooms, png, served, value_of
 
 pytest.importorskip("mcp", reason="needs mcp: '.[serve]'")
 
@@ -24,8 +24,8 @@ def rooms() -> Rooms:
 
 
 @pytest.fixture(scope="module")
-def guard(rooms: Rooms) -> Iterator[Guard]:
-    with served(rooms) as guard:
+def guard(rooms: Rooms, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guard]:
+    with served(rooms, office_library(tmp_path_factory.mktemp("library"))) as guard:
         yield guard
 
 
@@ -90,6 +90,7 @@ def test_goals_and_differences(guard: Guard):
         ("/api/difference?before=monday&after=empty", 409, "share too few objects"),
         ("/", 404, "there is nothing here; /openapi.json says what is"),
         ("/api/../../etc/passwd", 404, "there is nothing here"),
+        ("/api/query_picture", 405, "this address takes another method"),
     ],
 )
 def test_what_cannot_be_answered_is_one_sentence(
@@ -111,7 +112,9 @@ def test_only_whoever_has_the_token_gets_an_answer(guard: Guard):
         assert ask(guard, path, Host="evil.example")[0] == 403
         assert ask(guard, path, Origin="http://evil.example")[0] == 403
     assert ask(guard, target, Origin=f"http://127.0.0.1:{guard.port}")[0] == 200
-    assert ask(guard, target, "POST", **{"Content-Length": "0"})[0] == 405
+    status, headers, _ = ask(guard, target, "POST", b"")
+    assert (status, set(headers["Allow"].split(", "))) == (405, {"GET", "HEAD"})
+    assert ask(guard, "/api/query_picture", "POST", b"x", Authorization="")[0] == 403
 
 
 def test_a_hundred_requests_at_once_are_all_answered_alike(guard: Guard):
@@ -134,7 +137,9 @@ def drawn(schema: dict, draw: random.Random) -> str:
     if schema["type"] == "boolean":
         return draw.choice(["true", "false"])
     if schema["type"] == "string":
-        return draw.choice(["monday", "friday", "empty", "desk", "box#7", "1", "red chair", "?"])
+        return draw.choice(
+            ["monday", "friday", "empty", "desk", "box#7", "1", "chair", "?", "north/room.itk"]
+        )
     low, high = schema.get("minimum", 0), min(schema.get("maximum", 9), 40)
     number = draw.uniform(low, high)
     return str(round(number) if schema["type"] == "integer" else number)
@@ -147,11 +152,14 @@ def test_drawn_requests_get_answers_that_the_document_knows(guard: Guard):
     statuses = set()
     for path, methods in document["paths"].items():
         for _ in range(6 if path.endswith("difference") else 25):
+            ((method, operation),) = methods.items()
             given = {each["name"]: drawn(each["schema"], draw)
-                     for each in methods["get"]["parameters"]
+                     for each in operation["parameters"]
                      if each["required"] or draw.random() < 0.6}  # fmt: skip
-            status, headers, body = ask(guard, f"{path}?{urlencode(given)}")
-            answers = methods["get"]["responses"]
+            sent = draw.choice([b"", b"\xff\xd8no", png()]) if method == "post" else None
+            target = f"{path}?{urlencode(given)}"
+            status, headers, body = ask(guard, target, method.upper(), sent)
+            answers = operation["responses"]
             assert str(status) in answers, (path, given, body)
             assert status != 500, (path, given, body)
             assert headers["Content-Type"] in answers[str(status)]["content"]

@@ -5,7 +5,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from instok3d.library.entries import Encoder, check_encoder
-from instok3d.semantics.query.shipped import shipped_encoder
 from instok3d.semantics.teacher import Teacher
 
 
@@ -21,6 +20,7 @@ def library_teacher(encoder: Encoder, library: object, given: str | None) -> Tea
         ValueError: It is another encoder than the library's, or one is needed and none was given.
         FileNotFoundError: There are no such weights.
     """
+    from instok3d.semantics.query.shipped import shipped_encoder
     from instok3d.semantics.teachers import FORMS, open_teacher
 
     if given is not None:

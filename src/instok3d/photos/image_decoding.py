@@ -86,15 +86,13 @@ def decode_photo(
 ) -> DecodedPhoto:
     """Read one photo, turn it upright, fit it into height x width with antialiasing.
 
-    Grey becomes RGB, 16 bits keep their full range, CMYK and wide-gamut profiles are converted
-    to sRGB, transparent pixels are laid on white, of an animation the first picture is taken.
+    See `decode_bytes`.
 
     Args:
         path: The photo.
         height: Of the result.
         width: Of the result.
-        fit: Or a function that gives the map from the whole upright photo to the result, given
-            the map from the photo to itself.
+        fit: As in `decode_bytes`.
         max_pixels: Photos with more are refused.
 
     Raises:
@@ -103,6 +101,35 @@ def decode_photo(
         ValueError: It is no image, cut off, larger than max_pixels, or needs a missing plugin.
     """
     data = _read_bytes(path, max_pixels)
+    return decode_bytes(data, path, height=height, width=width, fit=fit, max_pixels=max_pixels)
+
+
+def decode_bytes(
+    data: bytes,
+    path: Path,
+    *,
+    height: int,
+    width: int,
+    fit: Fit | Callable[[PixelMap], PixelMap] = "crop",
+    max_pixels: int = MAX_PIXELS,
+) -> DecodedPhoto:
+    """The bytes of a photo as one picture, upright, fitted into height x width with antialiasing.
+
+    Grey becomes RGB, 16 bits keep their full range, CMYK and wide-gamut profiles are converted
+    to sRGB, transparent pixels are laid on white, of an animation the first picture is taken.
+
+    Args:
+        data: Of a file.
+        path: What messages call it.
+        height: Of the result.
+        width: Of the result.
+        fit: Or a function that gives the map from the whole upright photo to the result, given
+            the map from the photo to itself.
+        max_pixels: Photos with more are refused.
+
+    Raises:
+        ValueError: It is no image, cut off, larger than max_pixels, or needs a missing plugin.
+    """
     image = _open(path, data)
     _check_pixels(path, image.height, image.width, max_pixels)
     notes: list[str] = []

@@ -68,10 +68,8 @@ class Parameter:
             return f"one of {', '.join(self.choices)}"
         if self.kind == "string":
             return f"a text of 1 to {int(self.most or 0)} characters"
-        limits = (
-            [f"from {self.least:g}" * (self.least is not None)] if self.least is not None else []
-        )
-        limits += [f"up to {self.most:g}"] if self.most is not None else []
+        limits = [f"from {self.least}"] if self.least is not None else []
+        limits += [f"up to {self.most}"] if self.most is not None else []
         kinds = {"integer": "a whole number", "number": "a number", "boolean": "true or false"}
         return " ".join([kinds[self.kind], *limits])
 

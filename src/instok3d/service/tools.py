@@ -1,10 +1,10 @@
-"""What can be asked of scenes: the tools that the HTTP API and MCP have alike."""
+"""What can be asked of opened scenes."""
 
 import io
 import threading
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -21,7 +21,9 @@ from instok3d.scene.picture_size import SizedCameras, resize_cameras
 from instok3d.scene.query import Answers, SceneQueries
 from instok3d.scene.scene import Scene
 from instok3d.semantics.query.shipped import find_encoder
-from instok3d.service.parameters import Parameter, check_arguments
+from instok3d.service.parameters import Parameter
+from instok3d.service.pictures import decoded_picture
+from instok3d.service.tool import PNG, Picture, Tool
 
 MOST_PIXELS = 1024
 """Longest side of a picture."""
@@ -29,36 +31,7 @@ SCENE = Parameter("scene", "string", "Name of the scene, as list_scenes has it; 
                   "left out.", most=200)  # fmt: skip
 OBJECT = Parameter("object", "string", "Id, key or label of an object, such as 3 or chair#3.",
                    required=True, most=120)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture as an answer."""
-
-    png: bytes
-
-
-@dataclass(frozen=True)
-class Tool:
-    """One question with its parameters."""
-
-    name: str
-    about: str
-    """What comes out."""
-    parameters: tuple[Parameter, ...]
-    answer: Callable[..., dict[str, Any] | Picture]
-    """Called with all parameters by name."""
-    gives_picture: bool = False
-
-    def run(self, given: Mapping[str, Any]) -> dict[str, Any] | Picture:
-        """The answer to some arguments.
-
-        Raises:
-            KeyError: There is no such scene or object.
-            ValueError: An argument is wrong, or what is asked for cannot be.
-            FileNotFoundError: An encoder's weights are missing.
-        """
-        return self.answer(**check_arguments(self.parameters, given))
+MOST_ANSWERS = Parameter("k", "integer", "At most so many objects.", 5, least=1, most=100)
 
 
 class Rooms:
@@ -93,8 +66,10 @@ class Rooms:
                  "window'; or that nothing is present. Needs a scene with semantics.",
                  (SCENE, Parameter("text", "string", "What is looked for.", required=True,
                                    most=500),
-                  Parameter("k", "integer", "At most so many objects.", 5, least=1, most=100)),
-                 self.query),
+                  MOST_ANSWERS), self.query),
+            Tool("query_picture", "The objects that look like a picture of one thing, or that "
+                 "nothing is present. Needs a scene with semantics.", (SCENE, MOST_ANSWERS),
+                 self.query_picture, takes_picture=True),
             Tool("render", "A picture (PNG) of a scene, from one of its photos' cameras or from "
                  "around.",
                  (SCENE, Parameter("view", "integer", "Number of a photo, from 0; or of one of 8 "
@@ -108,7 +83,7 @@ class Rooms:
                             least=16, most=MOST_PIXELS),
                   Parameter("show", "string", "Colours, or each object in a colour of its own.",
                             "colors", choices=("colors", "objects"))), self.render,
-                 gives_picture=True),
+                 picture_type=PNG),
             Tool("goal", "A free spot on the floor beside an object and the direction to face it, "
                  "computed from boxes: a proposal for a planner.",
                  (SCENE, OBJECT, Parameter("radius", "number", "Of the robot, scene units.",
@@ -148,11 +123,14 @@ class Rooms:
 
     def query(self, scene: str | None, text: str, k: int) -> dict[str, Any]:
         """Answers to words."""
-        name, chosen = self._scene(scene)
         with self._alone:
-            if name not in self._queries:
-                self._queries[name] = SceneQueries(chosen, find_encoder(chosen.semantics))
-            return _answers(self._queries[name].text(text, k))
+            return _answers(self._asked(scene).text(text, k))
+
+    def query_picture(self, picture: bytes, scene: str | None, k: int) -> dict[str, Any]:
+        """Answers to a picture."""
+        with self._alone:
+            asked = self._asked(scene)
+            return _answers(asked.picture(decoded_picture(picture), k))
 
     def render(
         self, scene: str | None, view: int, around: bool, only: str | None, height: int,
@@ -193,6 +171,12 @@ class Rooms:
         first, second = self._scene(before)[1], self._scene(after)[1]
         with self._alone:
             return find_differences(first, second).to_json()
+
+    def _asked(self, scene: str | None) -> SceneQueries:
+        name, chosen = self._scene(scene)
+        if name not in self._queries:
+            self._queries[name] = SceneQueries(chosen, find_encoder(chosen.semantics))
+        return self._queries[name]
 
     def _scene(self, name: str | None) -> tuple[str, Scene]:
         if name is None:

@@ -1,21 +1,23 @@
-"""The HTTP server: the tools as `GET /api/NAME`, their OpenAPI document, and MCP at `/mcp`.
+"""The HTTP server: the tools as `/api/NAME`, their OpenAPI document, and MCP at `/mcp`.
 
-Each request passes the viewer's `Guard` first. Nothing is read from disk for a request: scenes are
-opened before the server starts, and no argument is a path.
+Each request passes the viewer's `Guard` first. Scenes and libraries are opened before the server
+starts, and no argument is a path.
 """
 
 import json
 import logging
 import threading
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
+from instok3d.errors import MissingWeightsError
 from instok3d.files import json_text
 from instok3d.service.openapi import openapi_document
 from instok3d.service.parameters import ArgumentError
-from instok3d.service.tools import Picture, Rooms, Tool
+from instok3d.service.pictures import MOST_BYTES
+from instok3d.service.tool import Picture, Tool, Tools
 from instok3d.viewer.guard import Guard
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ MOST_BODY = 64 * 1024
 """Bytes of a request to MCP."""
 MOST_ARGUMENTS = 32
 """Of an address."""
+FORGOTTEN = 8
+"""How often the limit of pictures is read of a body that is too large."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -57,31 +61,42 @@ def require_service() -> None:
         ) from error
 
 
-def service_app(rooms: Rooms, guard: Guard) -> App:
-    """The ASGI app of some scenes, behind a guard."""
+def service_app(served: Sequence[Tools], guard: Guard) -> App:
+    """The ASGI app of scenes, of a library or of both, behind a guard."""
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
     from starlette.routing import Route
 
     from instok3d.service.mcp_server import mcp_app
 
-    tools = rooms.tools()
+    tools = tuple(tool for each in served for tool in each.tools())
     document = json.dumps(openapi_document(tools)).encode()
 
     def endpoint(tool: Tool) -> "Callable[[Request], Awaitable[Response]]":
         async def answer(request: "Request") -> "Response":
-            return await run_in_threadpool(_answer, tool, request.url.query)
+            body = await _picture_of(request) if tool.takes_picture else b""
+            if body is None:
+                words = f"the picture has more than {MOST_BYTES} bytes: send a smaller one"
+                return Response(_refusal(words), 413, media_type="application/json")
+            return await run_in_threadpool(_answer, tool, request.url.query, body)
 
         return answer
 
     async def openapi(request: "Request") -> "Response":
         return Response(document, media_type="application/json")
 
-    routes = [Route(f"/api/{tool.name}", endpoint(tool), methods=["GET"]) for tool in tools]
+    routes = [
+        Route(
+            f"/api/{tool.name}", endpoint(tool), methods=["POST" if tool.takes_picture else "GET"]
+        )
+        for tool in tools
+    ]
     routes.append(Route("/openapi.json", openapi, methods=["GET"]))
     app: Any = mcp_app(tools, guard, routes)
     app.add_exception_handler(404, _plain(404, "there is nothing here; /openapi.json says what is"))
-    app.add_exception_handler(405, _plain(405, "the API answers to GET"))
+    app.add_exception_handler(
+        405, _plain(405, "this address takes another method: /openapi.json says which")
+    )
     return guarded(app, guard)
 
 
@@ -134,8 +149,8 @@ def guarded(app: App, guard: Guard) -> App:
 
 
 @contextmanager
-def serving(rooms: Rooms, guard: Guard) -> Iterator[None]:
-    """Serve during the block, from another thread.
+def serving(served: Sequence[Tools], guard: Guard) -> Iterator[None]:
+    """Serve scenes, a library or both during the block, from another thread.
 
     Raises:
         ValueError: The server did not start.
@@ -143,7 +158,7 @@ def serving(rooms: Rooms, guard: Guard) -> Iterator[None]:
     import uvicorn
 
     config = uvicorn.Config(
-        service_app(rooms, guard), host=guard.host, port=guard.port, log_level="error",
+        service_app(served, guard), host=guard.host, port=guard.port, log_level="error",
         access_log=False, server_header=False, proxy_headers=False, backlog=4096, ws="none",
         timeout_graceful_shutdown=5,
     )  # fmt: skip
@@ -169,8 +184,27 @@ def _run(server: Any, ended: threading.Event) -> None:
         ended.set()
 
 
-def _answer(tool: Tool, query: str) -> "Response":
-    """The answer of a tool to the query of an address."""
+async def _picture_of(request: "Request") -> bytes | None:
+    """The body of a request; None where it is larger than pictures may be.
+
+    Somewhat larger ones are read to their end and forgotten, since many clients read no answer
+    before they have sent all.
+    """
+    from starlette.requests import ClientDisconnect
+
+    parts, size = [], 0
+    with suppress(ClientDisconnect):  # nobody is there for an answer
+        async for part in request.stream():
+            size += len(part)
+            if size <= MOST_BYTES:
+                parts.append(part)
+            elif size > FORGOTTEN * MOST_BYTES:
+                break
+    return b"".join(parts) if size <= MOST_BYTES else None
+
+
+def _answer(tool: Tool, query: str, body: bytes) -> "Response":
+    """The answer of a tool to the query of an address and the body of a request."""
     from starlette.responses import Response
 
     try:
@@ -181,13 +215,13 @@ def _answer(tool: Tool, query: str) -> "Response":
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ArgumentError(f"{twice[0][:40]} was given twice: give it once")
-        found = tool.run({name: value for name, value in pairs if name != "token"})
+        found = tool.run({name: value for name, value in pairs if name != "token"}, body)
+        if isinstance(found, Picture):
+            return Response(found.data, media_type=found.media_type)
+        return Response(json_text(found), media_type="application/json")
     except Exception as error:
         status, words = refusal_of(error)
         return Response(_refusal(words), status, media_type="application/json")
-    if isinstance(found, Picture):
-        return Response(found.png, media_type="image/png")
-    return Response(json_text(found), media_type="application/json")
 
 
 def refusal_of(error: Exception) -> tuple[int, str]:
@@ -201,7 +235,7 @@ def refusal_of(error: Exception) -> tuple[int, str]:
         return 400, words
     if isinstance(error, ValueError | MemoryError):
         return 409, words
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, MissingWeightsError):
         return 409, "the encoder that reads texts is not installed on this server"
     _LOG.error("a request failed", exc_info=error)
     return 500, "a fault in the program; its log has more"
@@ -215,7 +249,7 @@ def _plain(status: int, words: str) -> "Callable[[Request, Exception], Awaitable
     async def answer(request: "Request", error: Exception) -> "Response":
         from starlette.responses import Response
 
-        more = {"Allow": "GET"} if status == 405 else {}
+        more = getattr(error, "headers", None) or {}  # which methods there are
         return Response(_refusal(words), status, more, media_type="application/json")
 
     return answer
