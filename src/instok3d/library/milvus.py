@@ -88,7 +88,7 @@ class MilvusLibrary:
             return []
         if count > AT_ONCE:
             raise ValueError(f"a server finds at most {AT_ONCE} objects at once, not {count}")
-        unfinished = [row["id"] for row in self._rows() if not row["complete"]]
+        unfinished = [row["id"] for row in self._rows("complete == false")]
         with naming_server(self._place):
             found = self._client.search(
                 self._name,
@@ -233,12 +233,13 @@ class MilvusLibrary:
         """Write rows of the table of scenes; the server wants a vector in each."""
         self._client.upsert(self._table, data=[{**row, "nothing": [0.0, 0.0]} for row in rows])
 
-    def _rows(self) -> list[dict[str, Any]]:
-        """All rows of scenes, complete or not."""
+    def _rows(self, wanted: str = "") -> list[dict[str, Any]]:
+        """Rows of scenes: all, complete or not, or those that the server finds to fit."""
         if self.encoder is None:
             return []
         fields = ["id", "scene", "objects", "complete"]
-        return list(self._all(self._table, f'id != "{LIBRARY}"', fields))
+        scenes = f'id != "{LIBRARY}"'
+        return list(self._all(self._table, f"{scenes} and {wanted}" if wanted else scenes, fields))
 
     def _all(self, name: str, wanted: str, fields: Sequence[str]) -> Iterator[dict[str, Any]]:
         """All rows of a collection that fit, however many."""
