@@ -1,6 +1,7 @@
 """Captures of rooms of boxes laid over each other."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -93,3 +94,22 @@ def test_points_lie_on_surfaces_of_their_colour_alone():
     assert float((on_surfaces(red, red, 0.05) < 1).double().mean()) == 1
     assert not (on_surfaces(red, blue, 0.05) < math.inf).any()
     assert not (on_surfaces(red, red, 0.05, of=1) < math.inf).any()  # what belongs to no object
+
+
+def test_the_alignment_does_not_depend_on_how_much_is_compared_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    first, second = box_room(OFFICE), box_room(OFFICE, seed=1, motion=MOTION)
+    traits = traits_of(first), traits_of(second)
+    whole = align(*traits, ups(first, second))
+    monkeypatch.setattr("instok3d.scene.changes.alignment.AT_ONCE", 6400)
+    assert align(*traits, ups(first, second)) == whole
+
+
+def test_a_scene_without_surfaces_is_refused():
+    first = box_room(OFFICE)
+    thin = replace(first, gaussians=replace(first.gaussians, opacities=torch.full_like(
+        first.gaussians.opacities, 0.1)))  # fmt: skip
+    for pair in ((first, thin), (thin, first)):
+        with pytest.raises(ValueError, match="no alignment of the two scenes can be trusted"):
+            align(*(traits_of(scene) for scene in pair), ups(*pair))

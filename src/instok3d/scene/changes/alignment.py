@@ -19,6 +19,8 @@ from instok3d.scene.changes.traits import COLOR_SPREAD, Traits, unlikeness
 
 TRIALS, KEPT, BEST = 4000, 12, 2
 """Triples that are tried, proposals that are refined on few points, and then on all."""
+AT_ONCE = 4_000_000
+"""Pairs of objects, of all triples together, that are compared at once: 32 MB for each number."""
 STEPS, FEW = 24, 1200
 """Of a refinement; points that are few."""
 ALIKE = 1.6
@@ -76,7 +78,7 @@ def align(first: Traits, second: Traits, ups: tuple[Tensor, Tensor], *, seed: in
     tried.sort(key=lambda each: -each.agreement)
     found = [_refined(first, second, each.second_from_first) for each in tried[:BEST]]
     best = max(found, key=lambda each: each.agreement, default=None)
-    if best is None or best.agreement < AGREED or len(best.pairs) < SHARED:
+    if best is None or not best.agreement >= AGREED or len(best.pairs) < SHARED:
         reached = "no three objects fit" if best is None else (
             f"at best {best.agreement:.0%} of the surfaces and {len(best.pairs)} objects agree"
         )  # fmt: skip
@@ -128,12 +130,10 @@ def _proposals(
     rotation, translation, scale = rotation[sound], translation[sound], scale[sound]
     if not len(scale):
         return []
-    moved = scale[:, None, None] * (first.centers @ rotation.mT) + translation[:, None]
-    apart = torch.cdist(moved, second.centers) / (REACH * second.radius)
-    sides = first.extents.log().mean(1)[:, None] - second.extents.log().mean(1)[None]
-    sizes = (sides + scale.log()[:, None, None]) / 0.5
-    fit = (-(apart**2) - sizes**2 - unlikeness(first, second) ** 2).exp()
-    score = fit.amax(2).sum(1).minimum(fit.amax(1).sum(1))
+    alike = unlikeness(first, second)
+    together = max(1, AT_ONCE // alike.numel())
+    parts = zip(*(each.split(together) for each in (rotation, translation, scale)), strict=True)
+    score = torch.cat([_fits(first, second, alike, *part) for part in parts])
     chosen: list[Similarity] = []
     for row in score.argsort(descending=True, stable=True)[: 8 * KEPT].tolist():
         each = _similarity(rotation[row], translation[row], scale[row])
@@ -143,6 +143,23 @@ def _proposals(
         if len(chosen) == KEPT:
             break
     return chosen
+
+
+def _fits(
+    first: Traits,
+    second: Traits,
+    alike: Float[Tensor, "object other"],
+    rotation: Float[Tensor, "trial 3 3"],
+    translation: Float[Tensor, "trial 3"],
+    scale: Float[Tensor, " trial"],
+) -> Float[Tensor, " trial"]:
+    """How many objects of the capture that has fewer find their like under each similarity."""
+    moved = scale[:, None, None] * (first.centers @ rotation.mT) + translation[:, None]
+    apart = torch.cdist(moved, second.centers) / (REACH * second.radius)
+    sides = first.extents.log().mean(1)[:, None] - second.extents.log().mean(1)[None]
+    sizes = (sides + scale.log()[:, None, None]) / 0.5
+    fit = (-(apart**2) - sizes**2 - alike**2).exp()
+    return fit.amax(2).sum(1).minimum(fit.amax(1).sum(1))
 
 
 def _distinct(triples: Int[Tensor, "trial 3 2"]) -> Bool[Tensor, " trial"]:
