@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import torch
@@ -134,13 +135,22 @@ class Comparison:
         kind: Kind = "moved" if moved else "unchanged"
         return Change(kind, carried.objects[row], self.after.objects[other], (x, y, z), note)
 
+    @cached_property
+    def _depths(self) -> tuple[Float[Tensor, "view height width"], ...]:
+        """What either scene's cameras see, drawn once for all objects."""
+        with torch.no_grad():
+            return tuple(
+                scene.render().depths if scene.views else torch.zeros(0, scene.height, scene.width)
+                for scene in (self.first, self.second)
+            )
+
     def _lost(self, points: Float[Tensor, "point 3"], row: int) -> Change:
-        seen = _in_sight(self.second, points) >= SHOWN
+        seen = _in_sight(self.second, self._depths[1], points) >= SHOWN
         note = "" if seen else "the second scene's cameras do not see its place"
         return Change("gone" if seen else "not seen", self.before.objects[row], None, None, note)
 
     def _found(self, points: Float[Tensor, "point 3"], row: int) -> Change:
-        seen = _in_sight(self.first, points) >= SHOWN
+        seen = _in_sight(self.first, self._depths[0], points) >= SHOWN
         note = "" if seen else "the first scene's cameras do not see its place"
         return Change("new" if seen else "not seen", None, self.after.objects[row], None, note)
 
@@ -206,12 +216,13 @@ def _id(each: Change) -> tuple[int, int]:
     return ids[0] or ids[1], ids[1]
 
 
-@torch.no_grad()
-def _in_sight(scene: "Scene", points: Float[Tensor, "point 3"]) -> float:
+def _in_sight(
+    scene: "Scene", depths: Float[Tensor, "view height width"], points: Float[Tensor, "point 3"]
+) -> float:
     """Share of some points that a scene's cameras see; 1 of a scene without cameras."""
     if not scene.views or not len(points):
         return 1.0
-    depths, (near, _) = scene.render().depths, scene.near_far
+    near, _ = scene.near_far
     seen: Bool[Tensor, " point"] = torch.zeros(len(points), dtype=torch.bool)
     for view in range(len(scene.views)):
         local = transform_points(scene.cameras.cam_from_world[view].double(), points)
