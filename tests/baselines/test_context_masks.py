@@ -1,3 +1,4 @@
+import sys
 from dataclasses import replace
 
 import pytest
@@ -6,6 +7,7 @@ import torch
 from flat_rooms import FlatRooms, oracle
 from instok3d.baselines.context_masks import context_masks
 from instok3d.data.batches import make_sample
+from instok3d.data.sample import photos_only
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.types import TokenGroups, Views
 
@@ -36,6 +38,20 @@ def test_predicted_depth_is_that_of_the_model_of_bare_photos():
     assert seen[0].cam_from_world is seen[0].depths is seen[0].intrinsics is None
     with pytest.raises(ValueError, match="needs a model"):
         context_masks("true", "predicted-depth")
+
+
+def test_flow_sees_photos_alone():
+    bare = replace(SAMPLE, context=photos_only(SAMPLE.context))
+    found = context_masks("degraded", "flow2d")(bare)
+    own = context_masks("degraded", "none")(bare)
+    assert torch.equal(found > 0, own > 0)
+    assert len(found.unique()) < len(own.unique())
+
+
+def test_flow_is_refused_at_once_without_opencv(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'instok3d\[flow\]'"):
+        context_masks("true", "flow2d")
 
 
 def test_degraded_masks_depend_on_the_seed_and_the_name_of_the_sample():

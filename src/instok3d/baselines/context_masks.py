@@ -8,6 +8,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from instok3d.baselines.degraded_masks import degraded_masks
+from instok3d.baselines.flow_tracking import require_opencv, tracked_by_flow
 from instok3d.baselines.tracking import tracked, unmatched
 from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.tokenizer_method import Model
@@ -15,9 +16,9 @@ from instok3d.types import Cameras
 
 MaskSource = Literal["true", "degraded"]
 """true: of the data. degraded: these, with the faults of a segmentation network in each view."""
-Tracker = Literal["true-ids", "true-depth", "predicted-depth", "none"]
+Tracker = Literal["true-ids", "true-depth", "predicted-depth", "flow2d", "none"]
 """How ids come to hold across views. true-ids: those of the data. true-depth, predicted-depth: by
-depth and cameras, true or of a geometry network. none: not at all."""
+depth and cameras, true or of a geometry network. flow2d: by optical flow. none: not at all."""
 
 MasksOf = Callable[[Sample], Int[Tensor, "view height width"]]
 
@@ -31,7 +32,7 @@ def check_masks(source: MaskSource, tracker: Tracker) -> None:
     if source == "degraded" and tracker == "true-ids":
         raise ValueError(
             "--masks degraded have no ids that hold across views: choose --tracker true-depth, "
-            "predicted-depth or none"
+            "predicted-depth, flow2d or none"
         )
 
 
@@ -48,10 +49,13 @@ def context_masks(
 
     Raises:
         ValueError: See `check_masks`; or predicted-depth without a model.
+        ModuleNotFoundError: flow2d without OpenCV.
     """
     check_masks(source, tracker)
     if tracker == "predicted-depth" and model is None:
         raise ValueError("tracker predicted-depth needs a model whose geometry it takes, got None")
+    if tracker == "flow2d":
+        require_opencv()
 
     def masks_of(sample: Sample) -> Int[Tensor, "view height width"]:
         masks = sample.context_instances[0]
@@ -62,6 +66,8 @@ def context_masks(
         if tracker == "none":
             return unmatched(masks)
         context = sample.context
+        if tracker == "flow2d":
+            return tracked_by_flow(masks, context.images[0])
         if tracker == "predicted-depth":
             assert model is not None
             geometry = model(photos_only(context)).geometry

@@ -1,5 +1,9 @@
-"""Masks of single views brought to ids that hold across views, by where their pixels lie."""
+"""Masks of single views brought to ids that hold across views, by where their pixels lie.
 
+`tracked` moves pixels by depth and cameras; `flow_tracking` moves them in the pictures alone.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,7 +21,7 @@ MIN_SHARED_PX = 10
 
 
 @dataclass(frozen=True)
-class _Link:
+class Link:
     """Two masks, numbered over all views, that lie on each other."""
 
     first: int
@@ -61,13 +65,28 @@ def tracked(
         Ids 1, 2, ...; 0 = no mask.
     """
     own = unmatched(masks)
-    count = int(own.max()) if own.numel() else 0
+    return joined(own, _links(own, depths, cameras))
+
+
+def joined(
+    masks: Int[Tensor, "view height width"], links: Sequence[Link]
+) -> Int[Tensor, "view height width"]:
+    """The masks of things that links join, the best first, never two of one view.
+
+    Args:
+        masks: Numbered over all views, as `unmatched` gives them.
+        links: Between these numbers.
+
+    Returns:
+        Ids 1, 2, ...; 0 = no mask.
+    """
+    count = int(masks.max()) if masks.numel() else 0
     view_of = torch.zeros(count + 1, dtype=torch.int64)
-    for view, ids in enumerate(own):
+    for view, ids in enumerate(masks):
         view_of[ids.unique()] = view
     things = {number: {number} for number in range(1, count + 1)}
     thing_of = {number: number for number in range(1, count + 1)}
-    for link in sorted(_links(own, depths, cameras), key=lambda link: -link.iou):
+    for link in sorted(links, key=lambda link: -link.iou):
         first, second = thing_of[link.first], thing_of[link.second]
         views = [{int(view_of[mask]) for mask in things[each]} for each in (first, second)]
         if first == second or views[0] & views[1]:
@@ -77,14 +96,14 @@ def tracked(
             thing_of[mask] = first
     names = {thing: number for number, thing in enumerate(sorted(things), start=1)}
     table = torch.tensor([0, *(names[thing_of[mask]] for mask in range(1, count + 1))])
-    return table[own]
+    return table[masks]
 
 
 def _links(
     masks: Int[Tensor, "view height width"],
     depths: Float[Tensor, "view height width"],
     cameras: Cameras,
-) -> list[_Link]:
+) -> list[Link]:
     """Pairs of masks of different views that overlap enough."""
     links = []
     for first in range(len(masks)):
@@ -98,12 +117,17 @@ def _links(
                 world, cameras.cam_from_world[second], cameras.intrinsics[second], depths[second]
             )
             here, there = masks[first][known][rows], masks[second].flatten()[pixels]
-            links += _overlaps(here, there)
+            links += overlaps(here, there)
     return links
 
 
-def _overlaps(here: Int[Tensor, " pixel"], there: Int[Tensor, " pixel"]) -> list[_Link]:
-    """Pairs of masks with enough in common among pixels that show the same surface."""
+def overlaps(here: Int[Tensor, " pixel"], there: Int[Tensor, " pixel"]) -> list[Link]:
+    """Pairs of masks with enough in common among pixels that show the same surface.
+
+    Args:
+        here: Numbers of masks of one view; below 1 is none.
+        there: Of another view, where it shows the same.
+    """
     pairs, shared = torch.stack([here, there]).unique(dim=1, return_counts=True)
     areas = [ids.bincount(minlength=1) for ids in (here, there)]
     links = []
@@ -111,5 +135,5 @@ def _overlaps(here: Int[Tensor, " pixel"], there: Int[Tensor, " pixel"]) -> list
         if first > 0 and second > 0 and common >= MIN_SHARED_PX:
             iou = common / (int(areas[0][first]) + int(areas[1][second]) - common)
             if iou >= MIN_IOU:
-                links.append(_Link(first, second, iou))
+                links.append(Link(first, second, iou))
     return links

@@ -23,6 +23,7 @@ OPTIONAL = {
     "zstandard": ("formats", "reading .spz of version 4"),
     "pxr": ("usd", "writing .usdz"),
     "viser": ("view", "looking at scenes in the browser"),
+    "cv2": ("flow", "tracking masks of other methods by optical flow"),
     "mcp": ("serve", "scenes for robots and assistants"),
     "ray": ("ray", "batches on the machines of a Ray cluster"),
     "pymilvus": ("search", "libraries of scenes on a Milvus server"),

@@ -31,6 +31,8 @@ Protocol = Literal[
 ]
 Method = Literal["tokenizer", "3dgs", "gaussian-grouping", "objectgs", "label-lifting"]
 """The model, and those of baselines/registry.py, which needs PyTorch."""
+Tracker = Literal["true-ids", "true-depth", "predicted-depth", "flow2d", "none"]
+"""As in baselines/context_masks.py, which needs PyTorch."""
 Disturbance = Literal[
     "jpeg30", "noise8", "exposure20", "focal1.33", "focal2", "grey", "overexposed", "hard"
 ]
@@ -45,7 +47,7 @@ def run(
     method: Method = "tokenizer",
     method_steps: int | None = None,
     masks: Literal["true", "degraded"] | None = None,
-    tracker: Literal["true-ids", "true-depth", "predicted-depth", "none"] | None = None,
+    tracker: Tracker | None = None,
     geometry: Literal["predicted", "intrinsics", "given"] | None = None,
     target_cameras: Literal["auto", "true", "aligned"] = "auto",
     scenes: int | None = None,
@@ -89,7 +91,8 @@ def run(
             these, in each view with the faults of a network that segments single photos.
         tracker: How ids of these masks come to hold across views. true-ids: those of the data, the
             rule for true masks. true-depth: by true depth and cameras, the rule for degraded ones.
-            predicted-depth: by those that the model predicts of bare photos. none: not at all.
+            predicted-depth: by those that the model predicts of bare photos. flow2d: by optical
+            flow between the photos alone (needs OpenCV). none: not at all.
         geometry: predicted: bare photos. intrinsics: the model is also given the true intrinsics.
             given: it gets true cameras and depth. None: predicted for rooms and captures;
             intrinsics for the others, as in the paper.
