@@ -8,15 +8,18 @@ import torch
 from capture_folders import write_capture, write_outlines
 from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
+from instok3d.baselines.segmenter import Segmenter, SegmenterConfig
+from instok3d.baselines.segmenter_file import save_segmenter
 from instok3d.cli import main
 from instok3d.datasets.prepared import PreparedFrame, SceneInfo, refresh_index, write_scene
 from instok3d.evaluation.figures import OBJECTS
 from instok3d.evaluation.report import KEYS
-from instok3d.files import write_json
+from instok3d.files import sha256_of, write_json
 from instok3d.model.files import load_model, save_model
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.rooms.scene import RenderedScene
 from instok3d.rooms.shards import ShardRecord, add_to_index, new_index, write_shard
+from instok3d.semantics.predictor import PredictorConfig
 
 SEED = 2_000_000
 
@@ -315,6 +318,7 @@ def test_other_methods_are_measured_by_the_same_protocols(folder, tmp_path, caps
             ["--method", "objectgs", "--masks", "degraded", "--tracker", "true-ids"],
             "choose --tracker true-depth",
         ),
+        (["--method", "objectgs", "--masks", "segmenter:"], "or segmenter:FILE, got 'segmenter:'"),
         (["--method", "objectgs", "--model", "mine"], "--model is of the tokenizer"),
     ],
 )
@@ -333,6 +337,23 @@ def test_the_row_names_where_masks_and_their_ids_come_from(folder, capsys):
     assert json.loads(capsys.readouterr().out)["model"].endswith(
         "masks degraded, tracker predicted-depth of tiny.safetensors"
     )
+
+
+def test_a_segmenter_gives_masks_and_is_named_with_its_hash(folder, tmp_path, capsys):
+    file = tmp_path / "masks.safetensors"
+    sizes = PredictorConfig(16, 16, 1, 16, quarter_channels=16, half_channels=16)
+    torch.manual_seed(0)
+    save_segmenter(Segmenter(SegmenterConfig(sizes, 4, 1)), file, card={})
+    words = by_method(folder, "--method", "label-lifting", "--json", "--masks", f"segmenter:{file}")
+    model = ["--model", str(folder / "tiny.safetensors")]
+    assert main([*words, *model]) == 0
+    given = f"masks segmenter masks.safetensors sha256:{sha256_of(file)[:12]}"
+    name = json.loads(capsys.readouterr().out)["model"]
+    assert name.endswith(f"{given}, tracker predicted-depth of tiny.safetensors")
+    assert main([*words, *model, "--tracker", "flow2d"]) == 2
+    assert "--model is of the tokenizer" in capsys.readouterr().err
+    assert main([*words[:-1], "segmenter:/none"]) == 4
+    assert "no segmenter /none; train one" in capsys.readouterr().err
 
 
 def test_instances_in_space_are_measured_if_that_is_asked_for(folder, capsys):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Literal
 from zlib import crc32
 
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from instok3d.baselines.degraded_masks import degraded_masks
@@ -14,12 +14,15 @@ from instok3d.data.sample import Sample, photos_only
 from instok3d.evaluation.tokenizer_method import Model
 from instok3d.types import Cameras
 
-MaskSource = Literal["true", "degraded"]
-"""true: of the data. degraded: these, with the faults of a segmentation network in each view."""
+MaskSource = Literal["true", "degraded", "segmenter"]
+"""true: of the data. degraded: these, with the faults of a segmentation network in each view.
+segmenter: those that such a network finds in each photo alone."""
 Tracker = Literal["true-ids", "true-depth", "predicted-depth", "flow2d", "none"]
 """How ids come to hold across views. true-ids: those of the data. true-depth, predicted-depth: by
 depth and cameras, true or of a geometry network. flow2d: by optical flow. none: not at all."""
 
+Segment = Callable[[Float[Tensor, "view 3 height width"]], Int[Tensor, "view height width"]]
+"""The masks of each photo alone, ids in each anew; 0 = none."""
 MasksOf = Callable[[Sample], Int[Tensor, "view height width"]]
 
 
@@ -27,17 +30,22 @@ def check_masks(source: MaskSource, tracker: Tracker) -> None:
     """Refuse what has no meaning.
 
     Raises:
-        ValueError: Degraded masks have no true ids.
+        ValueError: Masks of single photos have no true ids.
     """
-    if source == "degraded" and tracker == "true-ids":
+    if source != "true" and tracker == "true-ids":
         raise ValueError(
-            "--masks degraded have no ids that hold across views: choose --tracker true-depth, "
+            f"--masks {source} have no ids that hold across views: choose --tracker true-depth, "
             "predicted-depth, flow2d or none"
         )
 
 
 def context_masks(
-    source: MaskSource, tracker: Tracker, *, model: Model | None = None, seed: int = 0
+    source: MaskSource,
+    tracker: Tracker,
+    *,
+    model: Model | None = None,
+    segment: Segment | None = None,
+    seed: int = 0,
 ) -> MasksOf:
     """What gives the id maps of the context views of a sample of one.
 
@@ -45,20 +53,26 @@ def context_masks(
         source: Of the masks.
         tracker: How ids come to hold across views.
         model: Whose geometry of the bare photos predicted-depth takes.
+        segment: Finds the masks of the source segmenter.
         seed: Of the faults, which also depend on the name of the sample.
 
     Raises:
-        ValueError: See `check_masks`; or predicted-depth without a model.
+        ValueError: See `check_masks`; or predicted-depth without a model, or segmenter without one.
         ModuleNotFoundError: flow2d without OpenCV.
     """
     check_masks(source, tracker)
     if tracker == "predicted-depth" and model is None:
         raise ValueError("tracker predicted-depth needs a model whose geometry it takes, got None")
+    if source == "segmenter" and segment is None:
+        raise ValueError("masks of a segmenter need the segmenter, got None")
     if tracker == "flow2d":
         require_opencv()
 
     def masks_of(sample: Sample) -> Int[Tensor, "view height width"]:
         masks = sample.context_instances[0]
+        if source == "segmenter":
+            assert segment is not None
+            masks = segment(sample.context.images[0])
         if source == "degraded":
             masks = degraded_masks(masks, seed=(seed, crc32(sample.names[0].encode())))
         if tracker == "true-ids":

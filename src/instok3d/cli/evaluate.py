@@ -46,7 +46,7 @@ def run(
     model: Path | None = None,
     method: Method = "tokenizer",
     method_steps: int | None = None,
-    masks: Literal["true", "degraded"] | None = None,
+    masks: str | None = None,
     tracker: Tracker | None = None,
     geometry: Literal["predicted", "intrinsics", "given"] | None = None,
     target_cameras: Literal["auto", "true", "aligned"] = "auto",
@@ -89,10 +89,12 @@ def run(
         method_steps: Of such an optimisation; 600 as a rule.
         masks: For such a method. true: of the data, which is the rule and an upper bound. degraded:
             these, in each view with the faults of a network that segments single photos.
+            segmenter:FILE: those that the network of FILE (instok3d train nano-segmenter) finds.
         tracker: How ids of these masks come to hold across views. true-ids: those of the data, the
             rule for true masks. true-depth: by true depth and cameras, the rule for degraded ones.
-            predicted-depth: by those that the model predicts of bare photos. flow2d: by optical
-            flow between the photos alone (needs OpenCV). none: not at all.
+            predicted-depth: by those that the model predicts of bare photos, the rule for those of
+            a segmenter. flow2d: by optical flow between the photos alone (needs OpenCV). none: not
+            at all.
         geometry: predicted: bare photos. intrinsics: the model is also given the true intrinsics.
             given: it gets true cameras and depth. None: predicted for rooms and captures;
             intrinsics for the others, as in the paper.
@@ -135,8 +137,8 @@ def run(
     """
     from instok3d.cli.evaluate_captures import ALIGNMENT_STEPS, Run, capture_runs
     from instok3d.cli.evaluate_methods import (
-        GivenMasks,
         check_options,
+        given_masks_of,
         measured_method,
         measured_model,
     )
@@ -167,9 +169,10 @@ def run(
     check_steps(refine)
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
+    given_masks = given_masks_of(masks, tracker, model)
     if method != "tokenizer":
         given = {
-            "--model": model is not None and tracker != "predicted-depth",
+            "--model": model is not None and given_masks.settled_tracker != "predicted-depth",
             "--geometry": geometry not in (None, "given"),
             "--refine": refine > 0,
             "--pixels": pixels is not None,
@@ -221,7 +224,6 @@ def run(
             if method == "tokenizer":
                 measured = measured_model(model)
             else:
-                given_masks = GivenMasks(masks, tracker, model)
                 measured = measured_method(method, method_steps, given_masks)
         if save is not None:
             save.mkdir(parents=True, exist_ok=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from instok3d.baselines.context_masks import MasksOf, MaskSource, Tracker, context_masks
 from instok3d.baselines.registry import METHODS, MethodName
+from instok3d.baselines.segmenter_file import load_segmenter
 from instok3d.baselines.settings import SplatSettings
 from instok3d.evaluation.methods import Method
 from instok3d.evaluation.tokenizer_method import Model
@@ -36,6 +37,14 @@ def measured_model(model: Path | None) -> Measured:
     return Measured(tokenizer, f"{file.name} sha256:{sha256_of(file)[:12]}", seed)
 
 
+RULE: dict[MaskSource, Tracker] = {
+    "true": "true-ids",
+    "degraded": "true-depth",
+    "segmenter": "predicted-depth",
+}
+"""The tracker of masks where none is named."""
+
+
 @dataclass(frozen=True)
 class GivenMasks:
     """Where masks of the context views come from; None is the rule."""
@@ -44,6 +53,32 @@ class GivenMasks:
     tracker: Tracker | None
     model: Path | None
     """Whose geometry the tracker predicted-depth takes."""
+    segmenter: Path | None = None
+    """File of the network that the source segmenter asks."""
+
+    @property
+    def settled_source(self) -> MaskSource:
+        """The source, or the rule."""
+        return self.source or "true"
+
+    @property
+    def settled_tracker(self) -> Tracker:
+        """The tracker, or the rule for the source."""
+        return self.tracker or RULE[self.settled_source]
+
+
+def given_masks_of(source: str | None, tracker: Tracker | None, model: Path | None) -> GivenMasks:
+    """As --masks, --tracker and --model say it.
+
+    Raises:
+        ValueError: The source is none of the known ones.
+    """
+    kind, _, file = (source or "").partition(":")
+    if kind == "segmenter" and file:
+        return GivenMasks("segmenter", tracker, model, Path(file))
+    if source not in (None, "true", "degraded"):
+        raise ValueError(f"--masks must be true, degraded or segmenter:FILE, got {source!r}")
+    return GivenMasks(source, tracker, model)
 
 
 def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> Measured:
@@ -57,6 +92,7 @@ def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> M
     Raises:
         ValueError: No such number of steps can be done, masks are named that are not needed, or
             they cannot be made so.
+        MissingWeightsError: There is no such segmenter.
     """
     settings = SplatSettings() if steps is None else SplatSettings(steps=steps)
     method = METHODS[name](settings)
@@ -65,11 +101,16 @@ def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> M
         if masks.source is not None or masks.tracker is not None:
             raise ValueError(f"--method {name} needs no masks: leave --masks and --tracker out")
         return Measured(method, title, settings.seed)
-    source = masks.source or "true"
-    tracker = masks.tracker or ("true-ids" if source == "true" else "true-depth")
+    source, tracker = masks.settled_source, masks.settled_tracker
     model = load_model(masks.model) if tracker == "predicted-depth" else None
-    masks_of = context_masks(source, tracker, model=model, seed=settings.seed)
-    title = f"{title}, masks {source}, tracker {tracker}"
+    segmenter = None if masks.segmenter is None else load_segmenter(masks.segmenter)
+    masks_of = context_masks(
+        source, tracker, model=model, segment=segmenter and segmenter.masks, seed=settings.seed
+    )
+    given = f"masks {source}"
+    if masks.segmenter is not None:
+        given = f"{given} {masks.segmenter.name} sha256:{sha256_of(masks.segmenter)[:12]}"
+    title = f"{title}, {given}, tracker {tracker}"
     if model is not None:
         title += f" of {(masks.model or DEFAULT_MODEL).name}"
     return Measured(method, title, settings.seed, masks_of)

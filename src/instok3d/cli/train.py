@@ -18,6 +18,7 @@ COMMANDS = {
     "nano-refinement": "its refinement of depth, on top of that",
     "nano-tokenizer": "the tokenizer of the default model",
     "nano-semantics": "features of a 2D encoder in the scenes of the default model",
+    "nano-segmenter": "instances of single photos, for methods that are given masks",
     "nano-adapt": "the nano backbone learns the depths of other scenes",
     "cache": "a frozen backbone's features, written once for a tokenizer run",
     "export": "a run's averaged weights as one file",
@@ -48,7 +49,8 @@ def export(
     """Write a run's averaged weights as one file.
 
     A tokenizer run gives a model for `reconstruct --model`; an adapt run its backbone, without
-    the head, for `--init-from`; a semantics run what lifts its encoder's features into scenes.
+    the head, for `--init-from`; a semantics run what lifts its encoder's features into scenes; a
+    segmenter run the file for `evaluate --masks segmenter:FILE`.
 
     Args:
         run: Folder of the run; it may still be going on.

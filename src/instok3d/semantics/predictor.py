@@ -40,6 +40,16 @@ class PredictorConfig:
                 raise ValueError(f"{name} must be at least 1, got {value}")
 
 
+@dataclass(frozen=True)
+class EncodedPhotos:
+    """What the predictor makes of photos, each alone."""
+
+    tokens: Float[Tensor, "view patch channel"]
+    """Of squares of PATCH pixels, row-major, normalised."""
+    features: Float[Tensor, "view feature row column"]
+    """Of each cell of STRIDE x STRIDE pixels, of any length."""
+
+
 class Predictor(nn.Module):
     """A convolutional stem, attention over the patches, and two steps of upsampling with detail.
 
@@ -68,14 +78,24 @@ class Predictor(nn.Module):
         Args:
             images: sRGB in [0, 1], sides multiples of PATCH.
         """
+        return self.encode(images).features
+
+    def encode(self, images: Float[Tensor, "view 3 height width"]) -> EncodedPhotos:
+        """The same features, and the tokens of the patches from which they were made.
+
+        Args:
+            images: See `forward`.
+        """
         inputs = (images * 2 - 1).contiguous(memory_format=torch.channels_last)
         half, quarter, eighth = self.stem(inputs)
         rows, columns = eighth.shape[-2:]
         tokens = eighth.flatten(2).mT + self.embed_position(_waves(rows, columns, images))
         for block in self.blocks:
             tokens = block(tokens)
-        grid = self.norm(tokens).mT.unflatten(2, (rows, columns))
-        return self.out(self.to_half(self.to_quarter(grid, quarter), half))
+        tokens = self.norm(tokens)
+        grid = tokens.mT.unflatten(2, (rows, columns))
+        features = self.out(self.to_half(self.to_quarter(grid, quarter), half))
+        return EncodedPhotos(tokens, features)
 
     def start_from_nano(self, weights: Mapping[str, Tensor]) -> None:
         """Take the encoder's weights of a nano backbone of the same width.

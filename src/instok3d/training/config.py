@@ -21,6 +21,7 @@ from instok3d.semantics.tokens import SemanticTokensConfig
 from instok3d.training.distributed import Strategy
 from instok3d.training.stages.adapt import AdaptStageConfig
 from instok3d.training.stages.geometry import GeometryStageConfig
+from instok3d.training.stages.segmenter import SegmenterStageConfig
 from instok3d.training.stages.semantics import SemanticsStageConfig
 from instok3d.training.stages.stage import StageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
@@ -264,6 +265,13 @@ PRESETS = {
         ),
         batches=BatchConfig(batch_size=2, views=(2, 2, 4), num_targets=1, mirror=True),
         steps=4_000,
+        lr=3e-4,
+        warmup_steps=100,
+        clip_norm=1.0,
+    ),
+    "nano-segmenter": TrainConfig(
+        stage=SegmenterStageConfig(),
+        batches=BatchConfig(batch_size=4, views=(2,), num_targets=1, mirror=True),
         lr=3e-4,
         warmup_steps=100,
         clip_norm=1.0,

@@ -71,13 +71,13 @@ def flop_per_sample(
 
     2 for each parameter and patch of the context views, three times as much in parts that learn;
     attention between tokens, solving for cameras and rendering are left out. Parts that work by the
-    pixel, and all parts of a model without a backbone, see pixels instead of patches. LPIPS adds
-    its share for each pixel of the targets.
+    pixel see pixels instead of patches, a model without a backbone sees its cells. LPIPS adds its
+    share for each pixel of the targets.
     """
     work = config.stage.workload()
     backbone = next((m for m in model.modules() if isinstance(m, GeometryBackbone)), None)
     pixels = views * height * width
-    patches = pixels // (1 if backbone is None else backbone.patch_size) ** 2
+    patches = pixels // (work.cell_side if backbone is None else backbone.patch_size) ** 2
     total = 0.0
     for name, part in [("", model)] if backbone is model else list(model.named_children()):
         seen = pixels if name in work.pixel_parts else patches
@@ -138,11 +138,13 @@ def training_memory_bytes(config: TrainConfig, model: nn.Module, height: int, wi
     )
     if load.backbone is None:
         total, by_pixel = _bare_model_bytes(model), [model]
+        seen = work.pixels // load.cell_side**2
     else:
+        seen = work.pixels
         total = predict_peak_bytes(load.backbone, load.tokenizer, work)
         by_pixel = [model.get_submodule(name) for name in load.pixel_parts]
     channels = sum(_channels(module) for part in by_pixel for module in part.modules())
-    return total + work.pixels * channels * work.narrow
+    return total + seen * channels * work.narrow
 
 
 def _bare_model_bytes(model: nn.Module) -> int:

@@ -61,7 +61,9 @@ class Workload:
 
     backbone: BackboneConfig | None = None
     """Sizes of the model's geometry backbone, whose patches its other parts see; None = there is
-    none, and every part sees every pixel."""
+    none, and every part sees every cell."""
+    cell_side: int = 1
+    """Of the squares of pixels that a model without a backbone sees at its finest."""
     backbone_runs: bool = True
     """False where its answers are read from a cache."""
     backbone_learns: bool = True
