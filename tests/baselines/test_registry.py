@@ -5,14 +5,18 @@ import pytest
 import torch
 
 from easy_room import QUICK, SIZE, own_quality
+from instok3d.baselines.feature_files import MODELS, FeatureMethodName
 from instok3d.baselines.registry import METHODS, MethodName
 from instok3d.cli import evaluate as command
 from instok3d.evaluation.methods import Method, Shown, show
+from instok3d.training.config import PRESETS
 
 
 def test_every_name_has_a_method_and_the_command_knows_it():
     assert set(METHODS) == set(get_args(MethodName))
-    assert set(get_args(command.Method)) == {"tokenizer", *METHODS}
+    assert set(get_args(command.Method)) == {"tokenizer", *METHODS, *MODELS}
+    assert set(MODELS) == set(get_args(FeatureMethodName))
+    assert {f"nano-{name}" for name in MODELS} <= set(PRESETS)
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -8,6 +8,8 @@ import torch
 from capture_folders import write_capture, write_outlines
 from flat_rooms import flat_room
 from instok3d.backbones.nano.backbone import NanoBackbone, NanoConfig
+from instok3d.baselines.feature_files import save_feature_model
+from instok3d.baselines.query_gaussians import QueryGaussianConfig, QueryGaussians
 from instok3d.baselines.segmenter import Segmenter, SegmenterConfig
 from instok3d.baselines.segmenter_file import save_segmenter
 from instok3d.cli import main
@@ -318,6 +320,10 @@ def test_other_methods_are_measured_by_the_same_protocols(folder, tmp_path, caps
             ["--method", "objectgs", "--masks", "degraded", "--tracker", "true-ids"],
             "choose --tracker true-depth",
         ),
+        (
+            ["--method", "c3g-style", "--model", "mine"],
+            "--masks and --tracker are of a method that optimises",
+        ),
         (["--method", "objectgs", "--masks", "segmenter:"], "or segmenter:FILE, got 'segmenter:'"),
         (["--method", "objectgs", "--model", "mine"], "--model is of the tokenizer"),
     ],
@@ -354,6 +360,28 @@ def test_a_segmenter_gives_masks_and_is_named_with_its_hash(folder, tmp_path, ca
     assert "--model is of the tokenizer" in capsys.readouterr().err
     assert main([*words[:-1], "segmenter:/none"]) == 4
     assert "no segmenter /none; train one" in capsys.readouterr().err
+
+
+def test_a_model_of_one_pass_is_measured_from_bare_photos(folder, tmp_path, capsys):
+    file = tmp_path / "queries.safetensors"
+    torch.manual_seed(0)
+    sizes = QueryGaussianConfig(20, 16, 1, head_size=16, encoder_channels=4)
+    model = QueryGaussians(NanoBackbone(NanoConfig(width=64, layers=1)), sizes)
+    save_feature_model(model, file, card={})
+    words = ["evaluate", "rooms-2view", "--data", str(folder), "--scenes", "1", "--method"]
+    assert main([*words, "c3g-style", "--model", str(file), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["model"] == f"c3g-style queries.safetensors sha256:{sha256_of(file)[:12]}"
+    assert result["psnr"] is not None
+    assert result["rotation_deg"] is not None
+    assert result["ap"] is None
+    for more, told in (
+        (["c3g-style"], "needs --model FILE: instok3d train nano-c3g-style"),
+        (["c3g-style", "--model", str(file), "--refine", "3"], "--refine is of the tokenizer"),
+        (["uni3r-style", "--model", str(file)], "holds a model of c3g-style, wanted is one of"),
+    ):
+        assert main([*words, *more]) == 2
+        assert told in capsys.readouterr().err
 
 
 def test_instances_in_space_are_measured_if_that_is_asked_for(folder, capsys):

@@ -29,8 +29,16 @@ Protocol = Literal[
     "capture-2view",
     "capture-8view",
 ]
-Method = Literal["tokenizer", "3dgs", "gaussian-grouping", "objectgs", "label-lifting"]
-"""The model, and those of baselines/registry.py, which needs PyTorch."""
+Method = Literal[
+    "tokenizer",
+    "3dgs",
+    "gaussian-grouping",
+    "objectgs",
+    "label-lifting",
+    "uni3r-style",
+    "c3g-style",
+]
+"""The model, and those of baselines/registry.py and feature_files.py, which need PyTorch."""
 Tracker = Literal["true-ids", "true-depth", "predicted-depth", "flow2d", "none"]
 """As in baselines/context_masks.py, which needs PyTorch."""
 Disturbance = Literal[
@@ -83,8 +91,10 @@ def run(
         data: A folder of rooms with seeds 2,000,000 to 2,000,099, from `instok3d data rooms`, or
             of prepared scenes, from `instok3d data prepare`; or a capture, photos with their
             cameras in scene.json, transforms.json or a COLMAP model, or a folder of captures.
-        model: A model file instead of the default model, or hub:USER/NAME@REVISION.
-        method: tokenizer: the model. The others optimise each scene of rooms or ScanNet, from given
+        model: A model file instead of the default model, or hub:USER/NAME@REVISION; of uni3r-style
+            and c3g-style the file that was trained and exported.
+        method: tokenizer: the model. uni3r-style, c3g-style: other models of one forward pass,
+            without instances. The others optimise each scene of rooms or ScanNet, from given
             cameras and depth, and all but 3dgs with masks of the context views.
         method_steps: Of such an optimisation; 600 as a rule.
         masks: For such a method. true: of the data, which is the rule and an upper bound. degraded:
@@ -137,8 +147,10 @@ def run(
     """
     from instok3d.cli.evaluate_captures import ALIGNMENT_STEPS, Run, capture_runs
     from instok3d.cli.evaluate_methods import (
+        check_one_pass,
         check_options,
         given_masks_of,
+        measured_features,
         measured_method,
         measured_model,
     )
@@ -170,7 +182,15 @@ def run(
     if details and not json:
         raise ValueError("--details adds to the JSON object: pass --json too")
     given_masks = given_masks_of(masks, tracker, model)
-    if method != "tokenizer":
+    of_one_pass = method in ("tokenizer", "uni3r-style", "c3g-style")
+    if method in ("uni3r-style", "c3g-style"):
+        changed = {
+            "--refine": refine > 0,
+            "--clean-up": clean_up,
+            "--pixels": pixels is not None,
+        }
+        check_one_pass(method, model, changed)
+    if not of_one_pass:
         given = {
             "--model": model is not None and given_masks.settled_tracker != "predicted-depth",
             "--geometry": geometry not in (None, "given"),
@@ -183,7 +203,7 @@ def run(
     elif method_steps is not None or masks is not None or tracker is not None:
         raise ValueError(
             "--method-steps, --masks and --tracker are of a method that optimises each scene: "
-            "add --method"
+            "add --method of one"
         )
     unit = read_unit(model) if method == "tokenizer" else None
     settings = EvaluationSettings(
@@ -223,6 +243,8 @@ def run(
         if measured is None:
             if method == "tokenizer":
                 measured = measured_model(model)
+            elif method in ("uni3r-style", "c3g-style"):
+                measured = measured_features(method, model, settings.geometry)
             else:
                 measured = measured_method(method, method_steps, given_masks)
         if save is not None:

@@ -4,11 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from instok3d.baselines.context_masks import MasksOf, MaskSource, Tracker, context_masks
+from instok3d.baselines.feature_files import FeatureMethodName, load_feature_model
+from instok3d.baselines.feature_method import FeatureMethod
 from instok3d.baselines.registry import METHODS, MethodName
 from instok3d.baselines.segmenter_file import load_segmenter
 from instok3d.baselines.settings import SplatSettings
 from instok3d.evaluation.methods import Method
-from instok3d.evaluation.tokenizer_method import Model
+from instok3d.evaluation.tokenizer_method import GeometryMode, Model
 from instok3d.files import sha256_of
 from instok3d.model.files import DEFAULT_MODEL, load_model, read_card
 
@@ -114,6 +116,49 @@ def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> M
     if model is not None:
         title += f" of {(masks.model or DEFAULT_MODEL).name}"
     return Measured(method, title, settings.seed, masks_of)
+
+
+def measured_features(
+    name: FeatureMethodName, model: Path | None, geometry: GeometryMode
+) -> Measured:
+    """A model that gives each Gaussian a feature, in one pass.
+
+    Args:
+        name: Of its method.
+        model: Its file.
+        geometry: What of the context views it sees.
+
+    Raises:
+        MissingWeightsError: There is no such file.
+        ValueError: The file is damaged or of another method.
+    """
+    assert model is not None
+    network = load_feature_model(model, name)
+    return Measured(
+        FeatureMethod(network, geometry),
+        f"{name} {model.name} sha256:{sha256_of(model)[:12]}",
+        None,
+    )
+
+
+def check_one_pass(name: FeatureMethodName, model: Path | None, given: dict[str, bool]) -> None:
+    """Refuse what a model without instances cannot follow.
+
+    Args:
+        name: Of its method.
+        model: Its file.
+        given: Options that are of the tokenizer alone, and whether each was given.
+
+    Raises:
+        ValueError: Says what, and what to do.
+    """
+    if model is None:
+        raise ValueError(
+            f"--method {name} needs --model FILE: instok3d train nano-{name}, then train export"
+        )
+    wrong = [option for option, is_given in given.items() if is_given]
+    if wrong:
+        raise ValueError(f"{wrong[0]} is of the tokenizer; leave it out with --method {name}")
 
 
 def check_options(name: MethodName, protocol: str, given: dict[str, bool]) -> None:

@@ -18,6 +18,8 @@ COMMANDS = {
     "nano-refinement": "its refinement of depth, on top of that",
     "nano-tokenizer": "the tokenizer of the default model",
     "nano-semantics": "features of a 2D encoder in the scenes of the default model",
+    "nano-uni3r-style": "a Gaussian with a feature for every pixel, as LSM and Uni3R do it",
+    "nano-c3g-style": "2,048 learned Gaussian queries with features, as C3G does it",
     "nano-segmenter": "instances of single photos, for methods that are given masks",
     "nano-adapt": "the nano backbone learns the depths of other scenes",
     "cache": "a frozen backbone's features, written once for a tokenizer run",

@@ -7,6 +7,7 @@ Where cameras are placed and how pictures are scored is no matter of the methods
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -118,23 +119,40 @@ class FittedScene:
     """Where cameras and depth of the context views were predicted."""
     alpha_min: float = 0.0
     """Pixels covered no more than this belong to no group."""
+    features: Float[Tensor, "anchor channel"] | None = None
+    """Of the anchor of each Gaussian, for a method that has them and knows no instances."""
+    feature_map: Float[Tensor, "feature channel"] | None = None
+    """From channels to those of the 2D encoder; None where they are the same."""
 
     def at(self, cameras: Cameras, height: int, width: int) -> Seen:
         """Pictures, and instances where they are known: the argmax of the composited groups.
+
+        A method that has features and no instances gives composited features instead.
 
         Args:
             cameras: In this world, unbatched.
             height: Of the pictures, pixels.
             width: Of the pictures, pixels.
         """
-        groups = None if self.assignment is None else self.assignment[:, :-1].contiguous()
+        shown = self.features
+        if self.assignment is not None:
+            shown = self.assignment[:, :-1].contiguous()
         rendering = render(
-            self.gaussians, cameras, height, width, anchor_features=groups, near=NEAR, far=FAR
+            self.gaussians, cameras, height, width, anchor_features=shown, near=NEAR, far=FAR
         )
         if rendering.features is None:
             return Seen(rendering, None)
+        if self.assignment is None:
+            return Seen(replace(rendering, features=self._decoded(rendering.features)), None)
         masks = self.masks_of(rendering.features, rendering.alphas)
         return Seen(replace(rendering, features=None), masks)
+
+    def _decoded(
+        self, maps: Float[Tensor, "view channel height width"]
+    ) -> Float[Tensor, "view feature height width"]:
+        if self.feature_map is None:
+            return maps
+        return torch.einsum("vchw,fc->vfhw", maps, self.feature_map)
 
     def masks_of(
         self,

@@ -2,10 +2,12 @@
 
 The rows of the paper's Table 4 (both levels of the features, each alone), the 2D encoder itself, a
 perfect encoder on the groups as they are, and one feature for each Gaussian instead of each group.
+The 2D encoder's row is LSeg's in the paper's Table 1; `method_features` measures other methods.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -57,6 +59,21 @@ class LiftedScene:
     """True ones, see `true_classes`."""
 
 
+@runtime_checkable
+class TrueViews(Protocol):
+    """What is known of the views of a scene, contexts first."""
+
+    @property
+    def num_context(self) -> int:
+        """How many are context views."""
+        ...
+
+    @property
+    def classes(self) -> Int[Tensor, "kind view height width"]:
+        """True ones, see `true_classes`."""
+        ...
+
+
 @dataclass
 class LiftedFigures:
     """Of one kind of features."""
@@ -68,6 +85,34 @@ class LiftedFigures:
     """With the encoder's features, a mean over the pixels of each scene."""
     scalars: list[int] = field(default_factory=list)
     """Stored for each scene."""
+
+    def add(
+        self,
+        features: Float[Tensor, "view feature row column"],
+        wanted: Float[Tensor, "view feature height width"],
+        phrases: Float[Tensor, "phrase feature"],
+        truth: TrueViews,
+    ) -> None:
+        """Count one scene.
+
+        Args:
+            features: Of any length.
+            wanted: What the 2D encoder says of each photo.
+            phrases: Of ROOM_CLASSES.
+            truth: Of the same views.
+        """
+        size = (wanted.shape[-2], wanted.shape[-1])
+        named = nearest_class(features, phrases, size)
+        whole = functional.interpolate(features, size, mode="bilinear")
+        alike = functional.cosine_similarity(whole, wanted, dim=1).mean(dim=(1, 2))
+        self.cosines["source"].append(float(alike[: truth.num_context].mean()))
+        self.cosines["target"].append(float(alike[truth.num_context :].mean()))
+        onto = torch.tensor(LSM_OF_ROOM)
+        for view, found in enumerate(named):
+            part = self.source if view < truth.num_context else self.target
+            in_rooms, in_lsm = truth.classes[:, view]
+            part.rooms.add(in_rooms, found)
+            part.lsm.add(in_lsm, onto[found])
 
 
 def _nothing_counted() -> SemanticQuality:
@@ -147,7 +192,7 @@ def measure_lifting(
         teacher: Whose texts name the classes.
         kinds: Some of KINDS.
     """
-    phrases, onto = teacher.text(PHRASES), torch.tensor(LSM_OF_ROOM)
+    phrases = teacher.text(PHRASES)
     figures = {kind: LiftedFigures() for kind in kinds}
     for scene in scenes:
         size = (scene.photos.shape[-2], scene.photos.shape[-1])
@@ -155,16 +200,7 @@ def measure_lifting(
         for kind, into in figures.items():
             features, scalars = feature_maps(scene, kind, phrases)
             into.scalars.append(scalars)
-            named = nearest_class(features, phrases, size)
-            whole = functional.interpolate(features, size, mode="bilinear")
-            alike = functional.cosine_similarity(whole, wanted, dim=1).mean(dim=(1, 2))
-            into.cosines["source"].append(float(alike[: scene.num_context].mean()))
-            into.cosines["target"].append(float(alike[scene.num_context :].mean()))
-            for view, found in enumerate(named):
-                part = into.source if view < scene.num_context else into.target
-                in_rooms, in_lsm = scene.classes[:, view]
-                part.rooms.add(in_rooms, found)
-                part.lsm.add(in_lsm, onto[found])
+            into.add(features, wanted, phrases, scene)
     return figures
 
 

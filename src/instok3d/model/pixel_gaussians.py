@@ -1,7 +1,8 @@
 """One Gaussian for every pixel, standing on the pointmap: the throw-away head of the adapt stage.
 
 Rendering it at known cameras tells a geometry backbone in which units and in which frame its
-pointmaps have to be (Sec. 4); the tokenizer has no use for it.
+pointmaps have to be (Sec. 4); the tokenizer has no use for it. With features of its own it is the
+scene of LSM and Uni3R (`baselines.pixel_features`).
 """
 
 from dataclasses import dataclass
@@ -35,6 +36,8 @@ class PixelGaussianConfig:
     """0 to 3; of the paper's own Gaussians it is 2 (Sec. 4), of Uni3R's 3."""
     scale_max: float = 0.3
     """Largest standard deviation, scene units."""
+    feature_channels: int = 0
+    """Of a feature of each Gaussian beside its looks; Uni3R's head gives 64, the adapt stage 0."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ class PixelGaussianHead(nn.Module):
         )
         self.from_image = nn.Conv2d(3, width, 7, padding=3)
         self.mix = nn.Conv2d(width, width, 3, padding=1)
-        self.sizes = [3, 4, 1, 3 * coefficients]
+        self.sizes = [3, 4, 1, 3 * coefficients, config.feature_channels]
         self.out = nn.Conv2d(width, sum(self.sizes), 1)
         damping = harmonic_damping(config.sh_degree)
         self.register_buffer("damping", damping[:, None], persistent=False)
@@ -99,6 +102,16 @@ class PixelGaussianHead(nn.Module):
 
         Raises:
             ValueError: The image size is no multiple of the patch size.
+        """
+        return self.with_features(views, geometry)[0]
+
+    def with_features(
+        self, views: Views, geometry: Geometry
+    ) -> tuple[Gaussians, Float[Tensor, "batch pixel feature"]]:
+        """The same Gaussians and their features, of as many channels as the config says.
+
+        Raises:
+            ValueError: See `forward`.
         """
         batch, count, _, height, width = views.images.shape
         rows, columns = height // self.patch_size, width // self.patch_size
@@ -117,13 +130,16 @@ class PixelGaussianHead(nn.Module):
         maps = functional.gelu(maps + self.from_image(2 * images - 1))
         raw = self.out(functional.gelu(self.mix(maps)))
         with torch.autocast(raw.device.type, enabled=False):
-            pixels = raw.float().permute(0, 2, 3, 1).reshape(batch, count * height * width, -1)
-            return self._gaussians(views, geometry, pixels)
+            pixels = (
+                raw.float()
+                .permute(0, 2, 3, 1)
+                .reshape(batch, count * height * width, sum(self.sizes))
+            )
+            *looks, features = pixels.split(self.sizes, dim=-1)
+            return self._gaussians(views, geometry, looks), features
 
-    def _gaussians(
-        self, views: Views, geometry: Geometry, raw: Float[Tensor, "batch pixel number"]
-    ) -> Gaussians:
-        scales, quats, opacities, sh = raw.split(self.sizes, dim=-1)
+    def _gaussians(self, views: Views, geometry: Geometry, looks: list[Tensor]) -> Gaussians:
+        scales, quats, opacities, sh = looks
         points = geometry.pointmaps.float().flatten(1, 3)
         known = points.isfinite().all(dim=-1)
         points = torch.where(known[..., None], points, torch.zeros_like(points))

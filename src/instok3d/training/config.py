@@ -20,6 +20,10 @@ from instok3d.reading import naming_damage, read_json
 from instok3d.semantics.tokens import SemanticTokensConfig
 from instok3d.training.distributed import Strategy
 from instok3d.training.stages.adapt import AdaptStageConfig
+from instok3d.training.stages.features import (
+    PixelFeaturesStageConfig,
+    QueryGaussiansStageConfig,
+)
 from instok3d.training.stages.geometry import GeometryStageConfig
 from instok3d.training.stages.segmenter import SegmenterStageConfig
 from instok3d.training.stages.semantics import SemanticsStageConfig
@@ -214,6 +218,8 @@ RE10K_2VIEW = replace(SCANNET_2VIEW, batches=_RE10K_PAIRS, masks="sam2")
 Frames by C3G's rule: contexts 25 frames apart at first, later 45 to 90, one new frame between them.
 Lengths are in distances of the two contexts, and so are the bounds of the Gaussians."""
 
+_NANO_PAIRS = BatchConfig(batch_size=4, views=(2, 2, 4), num_targets=1, mirror=True)
+
 _EXACT_MATCHES = SensorConfig(distortion_px=0.0)
 """Matches are learnt from true depth and cameras, which know no distortion."""
 
@@ -268,6 +274,20 @@ PRESETS = {
         lr=3e-4,
         warmup_steps=100,
         clip_norm=1.0,
+    ),
+    "nano-uni3r-style": TrainConfig(
+        stage=PixelFeaturesStageConfig(),
+        batches=_NANO_PAIRS,
+        lr=1e-4,
+        warmup_steps=100,
+        clip_norm=0.3,
+    ),
+    "nano-c3g-style": TrainConfig(
+        stage=QueryGaussiansStageConfig(),
+        batches=_NANO_PAIRS,
+        lr=3e-4,
+        warmup_steps=100,
+        clip_norm=0.3,
     ),
     "nano-segmenter": TrainConfig(
         stage=SegmenterStageConfig(),
@@ -398,11 +418,17 @@ def _dataclass_from_json(kind: Any, value: dict[str, Any], where: str) -> Any:
     return kind(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in content.items()})
 
 
+def _subclasses(kind: type) -> set[type]:
+    """Of all depths."""
+    direct = set(kind.__subclasses__())
+    return direct.union(*(_subclasses(each) for each in direct))
+
+
 def _written_class(kind: Any, value: dict[str, Any], where: str) -> Any:
     """The class, or the subclass of an abstract one, that a dictionary was written from."""
     if not isabstract(kind):
         return kind
-    known = {each.__name__: each for each in kind.__subclasses__()}
+    known = {each.__name__: each for each in _subclasses(kind) if not isabstract(each)}
     if value.get("type") not in known:
         raise ValueError(
             f"{where} must be of one of the types {sorted(known)}, got {value.get('type')!r}"
