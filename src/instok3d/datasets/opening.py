@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from instok3d.data.broken_tracks import BROKEN_TRACKS, BrokenTracks
 from instok3d.data.joined import JoinedScenes
 from instok3d.data.scenes import SceneSource
 from instok3d.datasets.prepared import PreparedScenes
@@ -17,7 +18,8 @@ def open_training_scenes(folders: Sequence[Path], *, masks: str | None = None) -
 
     Args:
         folders: From `instok3d data rooms` or `instok3d data prepare`; at least one.
-        masks: Take the ids that this model made instead of the true ones (prepared scenes).
+        masks: Take the ids that this model made instead of the true ones (prepared scenes); of
+            rooms, BROKEN_TRACKS alone, which are true ids made worse.
 
     Raises:
         FileNotFoundError: A folder holds neither, or lacks such masks.
@@ -30,9 +32,15 @@ def open_training_scenes(folders: Sequence[Path], *, masks: str | None = None) -
 
 def _open(folder: Path, masks: str | None) -> SceneSource:
     if (folder / ROOMS_INDEX).is_file():
-        if masks is not None:
-            raise ValueError(f"{folder} holds rooms, which have true ids: leave masks {masks} out")
-        return RoomDataset(folder, split_seeds("train"))
+        rooms = RoomDataset(folder, split_seeds("train"))
+        if masks is None:
+            return rooms
+        if masks == BROKEN_TRACKS:
+            return BrokenTracks(rooms)
+        raise ValueError(
+            f"{folder} holds rooms, which have true ids: leave masks {masks} out, or take "
+            f"{BROKEN_TRACKS} for ids that break as those of a tracker"
+        )
     if (folder / PREPARED_INDEX).is_file():
         return PreparedScenes(folder, masks=masks)
     raise FileNotFoundError(

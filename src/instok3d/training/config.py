@@ -40,7 +40,8 @@ class TrainConfig:
     batches: BatchConfig = field(default_factory=BatchConfig)
     masks: str | None = None
     """Learn from the masks that this model made (instok3d data masks), such as sam2, instead of
-    the true instance ids."""
+    the true instance ids; of rooms, broken-tracks: true masks whose ids break over the frames as
+    those of a tracker do."""
     seed: int = 0
     steps: int = 20_000
     """Updates of the whole run."""
