@@ -142,13 +142,9 @@ def evaluate(
     baselines: dict[str, list[SceneScore]] = {}
     for clean in scenes:
         scene = disturbed(clean, settings.disturb) if settings.disturb else clean
-        targets = settings.targets_of(scene)
-        true_targets += targets == "true"
-        predictions = [
-            _predict(method, sample, masks_of and masks_of(sample), targets, settings)
-            for sample in scene.samples
-        ]
-        scores.append(_score_model(scene, predictions, settings, lpips))
+        true_targets += settings.targets_of(scene) == "true"
+        score, predictions = score_scene(method, scene, settings, lpips=lpips, masks_of=masks_of)
+        scores.append(score)
         aligned = [each.aligned for each in predictions if each.aligned is not None]
         if settings.also_aligned:
             aligned_scores.append(_score_model(scene, aligned, settings, lpips))
@@ -182,6 +178,27 @@ def evaluate(
             baselines={},
         ),
     )
+
+
+def score_scene(
+    model: Model | Method,
+    scene: ProtocolScene,
+    settings: EvaluationSettings,
+    *,
+    lpips: Lpips | None = None,
+    masks_of: Callable[[Sample], Int[Tensor, "view height width"]] | None = None,
+) -> tuple[SceneScore, list[Prediction]]:
+    """What `evaluate` does with one scene, which is taken as it is: its score, and predictions.
+
+    Raises:
+        ValueError: The settings do not give the cameras that the method needs.
+    """
+    method, targets = _method(model, settings), settings.targets_of(scene)
+    predictions = [
+        _predict(method, sample, masks_of and masks_of(sample), targets, settings)
+        for sample in scene.samples
+    ]
+    return _score_model(scene, predictions, settings, lpips), predictions
 
 
 def _by_level(scores: Sequence[SceneScore]) -> dict[str, Figures]:
