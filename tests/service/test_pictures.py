@@ -19,7 +19,7 @@ from instok3d.service.pictures import MOST_BYTES
 from instok3d.service.tools import Rooms
 from instok3d.viewer.guard import Guard
 from made_encoder import made_room, write_encoder
-from served_office import ask, png, served
+from served_office import ask, png, served, value_of
 
 pytest.importorskip("mcp", reason="needs mcp: '.[serve]'")
 
@@ -104,3 +104,11 @@ def test_what_is_no_picture_is_refused(
     found, headers, body = ask(guard, target, "POST", sent)
     assert headers["Content-Type"] == "application/json"
     assert (found, words in json.loads(body)["error"]) == (status, True), body
+
+
+def test_the_document_says_that_a_picture_must_come(guard: Guard):
+    posted = value_of(guard, "/openapi.json")["paths"]["/api/query_picture"]["post"]
+    assert posted["requestBody"]["required"]
+    for each in posted["requestBody"]["content"].values():
+        assert each["schema"]["minLength"] == 1
+    assert "413" in posted["responses"]

@@ -80,4 +80,4 @@ def _operation(tool: Tool) -> dict[str, Any]:
 
 
 def _bytes_of(media_type: str) -> dict[str, Any]:
-    return {"type": "string", "contentMediaType": media_type}
+    return {"type": "string", "contentMediaType": media_type, "minLength": 1}
