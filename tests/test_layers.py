@@ -14,7 +14,7 @@ ORDER = ["types", "errors", "version", "progress", "renames", "locking", "files"
          "sfm",
          "data", "rooms", "datasets", "weights", "backbones", "model", "semantics", "objectives",
          "refinement", "scene", "webpage", "formats", "library", "batch", "evaluation",
-         "baselines", "training", "viewer", "service", "cli"]  # fmt: skip
+         "baselines", "training", "tables", "viewer", "service", "cli"]  # fmt: skip
 
 FOR_PEOPLE = {"scene/scene.py": {"viewer"}}
 """Imported late by a method that only people call: `scene.view()`."""

@@ -34,6 +34,7 @@ COMMANDS = {
     "library": "the objects of many scenes, found by text or image",
     "doctor": "what this machine has and lacks",
     "evaluate": "measure a model on rooms with known truth",
+    "tables": "the paper's tables on rooms: trained, measured, written",
     "train": "train a model",
     "models": "weights made elsewhere: list, fetch, convert; models pushed to the hub",
     "data": "rooms, real data sets and masks to train on",

@@ -295,6 +295,7 @@ def _print(
         values = {each.protocol: as_json(each, details=details) for each in reports}
         print_json(values.get(protocol, {"protocol": protocol, **values}))
     elif form == "markdown":
+        from instok3d.tables.machine import machine_name
         from instok3d.version import current_commit, short
 
         print(results_header(reports[0]))
@@ -304,7 +305,7 @@ def _print(
                 command=" ".join(["instok3d", *sys.argv[1:]]),
                 commit=short(current_commit()),
                 seed=seed,
-                machine=_machine(),
+                machine=machine_name(),
             )
             print(rows)
     else:
@@ -401,17 +402,3 @@ def _save_sheets(
     for number, (sample, prediction) in enumerate(zip(scene.samples, predictions, strict=True)):
         name = f"{protocol}_{kind}{scene.name}_{number}.png"
         write_sheet(folder / name, sample, prediction)
-
-
-def _machine() -> str:
-    """Name of the processor and number of usable cores."""
-    import os
-    import platform
-
-    name = platform.processor() or platform.machine()
-    information = Path("/proc/cpuinfo")
-    if information.is_file():
-        lines = information.read_text().splitlines()
-        named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-        name = named[0] if named else name
-    return f"{name}, {os.cpu_count()} cores"

@@ -1,0 +1,137 @@
+"""`instok3d tables`: the paper's tables on rooms, by one command."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from instok3d.tables.work import Work
+
+TableName = Literal["1", "2", "3", "4", "5", "6", "all"]
+
+
+def run(
+    numbers: Positional[tuple[TableName, ...]] = ("all",),
+    *,
+    data: tuple[Path, ...],
+    output: Annotated[Path, arg(aliases=["-o"])],
+    captures: Path | None = None,
+    quick: bool = False,
+    resume: bool = False,
+    dry_run: bool = False,
+    built_only: bool = False,
+    steps: int | None = None,
+    seed: int = 0,
+    scenes: int | None = None,
+    masks: tuple[Literal["true", "degraded"], ...] = ("true", "degraded"),
+    tracker: Literal["true-depth", "predicted-depth", "flow2d", "none"] = "true-depth",
+    method_steps: int | None = None,
+    model: str | None = None,
+    semantics: Path | None = None,
+    backbone: Path | None = None,
+    teacher: str | None = None,
+    lpips: str | None = None,
+    threads: int | None = None,
+) -> None:
+    """Train what the paper's tables need, measure it, write Markdown, LaTeX, JSON and figures.
+
+    Everything lies in the output folder. Stop the command at any time and give it again with
+    --resume: trainings go on from their checkpoints, scenes that were measured stay measured.
+
+    Args:
+        numbers: Which tables; all by default.
+        data: Folders of rooms to train on (seeds from 0), to test on (from 2000000) and, for
+            Table 6, of transfer rooms (from 3000000).
+        output: Folder of the tables.
+        captures: A folder of captures of real rooms for Table 6.
+        quick: Toy sizes and two scenes: shows that all parts fit together, and nothing else.
+        resume: Go on in a folder that holds tables.
+        dry_run: Print what would be trained and measured, and the hours; write nothing.
+        built_only: Leave out the rows whose method does not exist yet; the tables name them.
+        steps: Updates of each training, 3000 by default; halves of one have half of them.
+        seed: Of the trainings.
+        scenes: Measure the first so many of each set of rooms alone.
+        masks: That the methods of Table 2 are given, a row for each.
+        tracker: How ids of degraded masks come to hold across views (docs/evaluation.md).
+        method_steps: Of the methods that optimise each scene; their own by default.
+        model: Measure this model's file, or "default", as ours in Tables 1, 2, 4 and 6 instead of
+            one that is trained here by the same steps as its rivals.
+        semantics: Of that model; those of the default model come with it, others are trained.
+        backbone: A run or file whose backbone all trainings begin with; the default model's.
+        teacher: 2D encoder whose features are lifted, such as lseg:FILE; the one that comes with
+            instok3d by default.
+        lpips: vgg or alex after 'instok3d models pull lpips', or a file; without it there is no
+            column of LPIPS.
+        threads: Of each training; as PyTorch chooses by default.
+    """
+    from instok3d.tables.definitions import tables, without_lpips
+    from instok3d.tables.plan import make_plan, plan_text
+    from instok3d.tables.run import make_tables
+
+    if steps is not None and steps < 1:
+        raise ValueError(f"--steps must be at least 1, got {steps}")
+    if scenes is not None and scenes < 1:
+        raise ValueError(f"--scenes must be at least 1, got {scenes}")
+    if semantics is not None and model is None:
+        raise ValueError("--semantics is of a given model: name it with --model")
+    work = _work(
+        data, output, captures, quick, steps, seed, scenes, method_steps, model, semantics,
+        backbone, teacher, lpips, threads,
+    )  # fmt: skip
+    known = tables(masks, tracker)
+    asked = [known[n] for n in known if "all" in numbers or str(n) in numbers]
+    if lpips is None:
+        asked = [without_lpips(table) for table in asked]
+    if dry_run:
+        print(plan_text(make_plan(work, asked)))
+        return
+    for path in make_tables(work, asked, resume=resume, built_only=built_only):
+        print(path)
+
+
+def _work(
+    data: tuple[Path, ...],
+    output: Path,
+    captures: Path | None,
+    quick: bool,
+    steps: int | None,
+    seed: int,
+    scenes: int | None,
+    method_steps: int | None,
+    model: str | None,
+    semantics: Path | None,
+    backbone: Path | None,
+    teacher: str | None,
+    lpips: str | None,
+    threads: int | None,
+) -> "Work":
+    """What the command line says, with what it leaves to a rule."""
+    from instok3d.model.files import DEFAULT_MODEL
+    from instok3d.objectives.lpips import load_lpips
+    from instok3d.semantics.query.shipped import SHIPPED
+    from instok3d.tables.trainings import QUICK_STEPS, Schedule
+    from instok3d.tables.work import Work
+
+    rule = QUICK_STEPS if quick else 3000
+    is_default = model == "default"
+    return Work(
+        folder=output,
+        data=data,
+        schedule=Schedule(
+            steps=rule if steps is None else steps,
+            seed=seed,
+            quick=quick,
+            teacher=teacher or f"rooms:{SHIPPED}",
+            threads=threads,
+        ),
+        num_scenes=scenes,
+        captures=captures,
+        backbone=backbone or DEFAULT_MODEL,
+        model=None if model is None else DEFAULT_MODEL if is_default else Path(model),
+        semantics=SHIPPED if is_default and semantics is None else semantics,
+        method_steps=method_steps,
+        lpips=None if lpips is None else load_lpips(lpips),
+        command=" ".join(["instok3d", *sys.argv[1:]]),
+    )

@@ -1,0 +1,1 @@
+"""The paper's tables on rooms, by one command: trained, measured, written."""

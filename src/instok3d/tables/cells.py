@@ -1,0 +1,132 @@
+"""Cells: what was measured of one method on one set of scenes, and how; a file each."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from instok3d.files import write_json
+from instok3d.reading import naming_damage, read_json
+from instok3d.tables.code_version import code_hash
+from instok3d.tables.definitions import PerScene, Row, Table, Tokenizer, Views
+from instok3d.tables.scene_sets import digest
+from instok3d.tables.trained import trained_model
+from instok3d.tables.trainings import OURS, SEMANTICS
+from instok3d.tables.work import Work, key_of
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Figures of one method on one set of scenes, with where they come from."""
+
+    figures: Mapping[str, float | None]
+    """By the names of the columns; None is what has no truth or no meaning here."""
+    method: str
+    """In words."""
+    scenes: int
+    scenes_sha256: str
+    """Of the list of scenes (`scene_sets.digest`)."""
+    weights_sha256: str | None
+    """Of the model; None for a method that has none."""
+    command: str
+    """That measured it."""
+    commit: str
+    machine: str
+    seed: int | None
+    hours: float
+    """Of measuring."""
+    training_hours: float | None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A cell that a row needs: its pictures and masks, or its features."""
+
+    row: Row
+    views: Views
+    of: str
+    """'views' or 'features'."""
+
+    @property
+    def training(self) -> str | None:
+        """Whose model it needs first."""
+        if self.of == "features":
+            return OURS
+        method = self.row.method
+        if isinstance(method, Tokenizer):
+            return method.training
+        needs_model = isinstance(method, PerScene) and method.tracker == "predicted-depth"
+        return OURS if needs_model else None
+
+
+def asked_of(table: Table) -> list[tuple[Row, list[Asked]]]:
+    """The cells of each row that can be measured, in the order of the table."""
+    found = []
+    for row in table.rows:
+        if row.not_built:
+            continue
+        parts = [("views", row.method), ("features", row.features)]
+        found.append((row, [Asked(row, table.views, of) for of, what in parts if what is not None]))
+    return found
+
+
+def cell_path(work: Work, asked: Asked) -> Path:
+    """Where a cell lies; the models that it needs must be there.
+
+    All kinds of features of a set of scenes are one cell, which Tables 1 and 4 share.
+    """
+    scenes = work.scenes(asked.row.scenes, asked.views)
+    names = ([asked.training] if asked.training else []) + [SEMANTICS] * (asked.of == "features")
+    weights = [_sha_of(work, name) for name in names]
+    method = "features" if asked.of == "features" else asdict_of(asked.row.method)
+    steps = work.method_steps if isinstance(asked.row.method, PerScene) else None
+    key = key_of(
+        method=method, weights=weights, scenes=digest(scenes.names), steps=steps,
+        views=asked.views, quick=work.schedule.quick, code=code_hash("measuring"),
+        lpips=None if work.lpips is None else work.lpips.trunk,
+    )  # fmt: skip
+    return work.folder / "cells" / f"{asked.of}-{key}.json"
+
+
+def _sha_of(work: Work, name: str) -> str:
+    return trained_model(work, name).sha256
+
+
+def asdict_of(method: Any) -> dict[str, Any]:
+    """A method as JSON, without the name of its training: its weights say which model it is."""
+    return {"type": type(method).__name__, **asdict(method)} | (
+        {"training": None} if isinstance(method, Tokenizer) else {}
+    )
+
+
+REMEDY = "remove it, it is then measured again"
+
+
+def write_cell(path: Path, cell: Cell) -> None:
+    """Write a cell as a whole.
+
+    Raises:
+        ValueError: A figure is not finite.
+    """
+    wrong = [name for name, value in cell.figures.items() if value and not isfinite(value)]
+    if wrong:
+        raise ValueError(f"{wrong[0]} of {cell.method} is {cell.figures[wrong[0]]}: not a figure")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, asdict(cell))
+
+
+def read_cell(path: Path) -> Cell:
+    """A cell that is there.
+
+    Raises:
+        FileNotFoundError: It was not measured yet.
+        ValueError: It is damaged.
+    """
+    with naming_damage(path, REMEDY):
+        return Cell(**read_json(path, REMEDY))
+
+
+def semantics_file(work: Work) -> Path:
+    """The semantics of OURS: given, those that come with the default model, or trained here."""
+    return trained_model(work, SEMANTICS).path

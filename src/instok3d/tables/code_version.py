@@ -1,0 +1,30 @@
+"""Which code made a result: a hash that changes where a result may, and not with every commit."""
+
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+TRAINING = ("types.py", "geometry", "render", "data", "rooms", "datasets", "backbones", "model",
+            "semantics", "objectives", "baselines", "training")  # fmt: skip
+"""What a trained model depends on."""
+MEASURING = (*TRAINING, "photos", "refinement", "scene", "evaluation")
+"""What a figure depends on."""
+SOURCES = (".py", ".cpp", ".hpp", ".h")
+
+
+@cache
+def code_hash(of: Literal["training", "measuring"], package: Path = PACKAGE) -> str:
+    """SHA-256 over the names and bytes of the source files in TRAINING or MEASURING."""
+    digest = hashlib.sha256()
+    for part in TRAINING if of == "training" else MEASURING:
+        place = package / part
+        files = [place] if place.is_file() else sorted(place.rglob("*"))
+        for path in files:
+            if path.suffix in SOURCES and path.is_file():
+                content = path.read_bytes()
+                name = path.relative_to(package).as_posix()
+                digest.update(f"{name} {len(content)}\n".encode() + content)
+    return digest.hexdigest()

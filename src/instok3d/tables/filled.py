@@ -1,0 +1,200 @@
+"""A table with its figures, as Markdown, LaTeX and JSON."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from instok3d.tables.cells import Asked, Cell
+from instok3d.tables.definitions import FEATURE_KEYS, Column, Row, Table
+from instok3d.tables.features import figure_name
+from instok3d.version import short
+
+NOTHING = "--"
+"""Stands where a method has no such figure by its nature, as in the paper."""
+
+_ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"} | {
+    sign: f"\\{sign}" for sign in "&%$#_{}"
+}
+
+
+@dataclass(frozen=True)
+class FilledRow:
+    """A row with the cells behind it."""
+
+    row: Row
+    cells: Mapping[str, Cell]
+    """By 'views' and 'features'."""
+    files: Mapping[str, str]
+    """Where they lie, relative to the folder of the tables."""
+
+    def figure(self, table: Table, column: Column) -> float | None:
+        """The figure of a column; None where the row has none by its nature.
+
+        Raises:
+            ValueError: It should have one.
+        """
+        of = "features" if column.key in FEATURE_KEYS else "views"
+        if of not in self.cells or column.key in self.row.without:
+            return None
+        key = column.key
+        if of == "features":
+            assert self.row.features is not None
+            key = figure_name(self.row.features, key)
+        value = self.cells[of].figures.get(key)
+        if value is None:
+            raise ValueError(
+                f"Table {table.number}, row {self.row.label!r} has no {column.title}: "
+                f"{self.files[of]} was measured without it; no blank stands for a prediction"
+            )
+        return value
+
+
+@dataclass(frozen=True)
+class FilledTable:
+    """A table with figures."""
+
+    table: Table
+    rows: tuple[FilledRow, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def not_built(self) -> list[str]:
+        """Rows of the paper that nobody can measure yet."""
+        return [row.label for row in self.table.rows if row.not_built]
+
+    def figures(self) -> list[list[float | None]]:
+        """By rows and columns.
+
+        Raises:
+            ValueError: One is missing.
+        """
+        return [[row.figure(self.table, each) for each in self.table.columns] for row in self.rows]
+
+    def best(self) -> set[tuple[int, int]]:
+        """Row and column of the best figures among rows on the same scenes.
+
+        Upper bounds do not count, and nothing is best of one.
+        """
+        values, found = self.figures(), set()
+        for kind in {row.row.scenes for row in self.rows}:
+            rivals = [
+                number
+                for number, row in enumerate(self.rows)
+                if row.row.scenes == kind and not row.row.upper_bound
+            ]
+            for place, column in enumerate(self.table.columns):
+                known = [(v, n) for n in rivals if (v := values[n][place]) is not None]
+                if column.better and len(known) > 1:
+                    best = (max if column.better == "up" else min)(value for value, _ in known)
+                    text = _text(best, column)
+                    found |= {(n, place) for value, n in known if _text(value, column) == text}
+        return found
+
+
+def as_markdown(filled: FilledTable) -> str:
+    """The table, and under it where each row comes from."""
+    table, best = filled.table, filled.best()
+    head = [*_kinds(table, "type"), "method", *(column.title for column in table.columns)]
+    lines = [f"### Table {table.number}: {table.title}", "", _bar(head), "|---" * len(head) + "|"]
+    for place, (row, values) in enumerate(zip(filled.rows, filled.figures(), strict=True)):
+        cells = [_cell(v, c) for v, c in zip(values, table.columns, strict=True)]
+        cells = [f"**{x}**" if (place, n) in best else x for n, x in enumerate(cells)]
+        label = f"{row.row.label} (upper bound)" if row.row.upper_bound else row.row.label
+        lines.append(_bar([*_kinds(table, row.row.kind), label, *cells]))
+    lines += ["", *(f"- {note}" for note in [*_notes(filled), *_origins(filled)])]
+    return "\n".join(lines) + "\n"
+
+
+def as_latex(filled: FilledTable) -> str:
+    """The same for a paper, with the rules of the package booktabs."""
+    table, best = filled.table, filled.best()
+    arrows = {"up": r"$\uparrow$", "down": r"$\downarrow$", "": ""}
+    head = [*_kinds(table, "Type"), "Method"]
+    head = [escaped(text) for text in head]
+    head += [escaped(column.title) + arrows[column.better] for column in table.columns]
+    shape = "l" * (len(head) - len(table.columns)) + "c" * len(table.columns)
+    lines = [rf"\begin{{tabular}}{{{shape}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
+    for place, (row, values) in enumerate(zip(filled.rows, filled.figures(), strict=True)):
+        cells = [_cell(v, c) for v, c in zip(values, table.columns, strict=True)]
+        cells = [rf"\textbf{{{x}}}" if (place, n) in best else x for n, x in enumerate(cells)]
+        label = row.row.label + (" (upper bound)" if row.row.upper_bound else "")
+        words = [escaped(text) for text in [*_kinds(table, row.row.kind), label]]
+        lines.append(" & ".join([*words, *cells]) + r" \\")
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    notes = [f"% {' '.join(note.split())}" for note in [*_notes(filled), *_origins(filled)]]
+    return "\n".join([f"% Table {table.number}: {table.title}", *notes, *lines]) + "\n"
+
+
+def as_json(filled: FilledTable) -> dict[str, Any]:
+    """Everything, with the whole cells."""
+    keys = [column.key for column in filled.table.columns]
+    return {
+        "table": filled.table.number,
+        "title": filled.table.title,
+        "columns": keys,
+        "not_built": filled.not_built,
+        "notes": list(filled.notes),
+        "rows": [
+            {
+                "label": row.row.label,
+                "kind": row.row.kind,
+                "upper_bound": row.row.upper_bound,
+                "figures": dict(zip(keys, values, strict=True)),
+                "cells": {name: asdict(cell) for name, cell in row.cells.items()},
+                "files": dict(row.files),
+            }
+            for row, values in zip(filled.rows, filled.figures(), strict=True)
+        ],
+    }
+
+
+def escaped(text: str) -> str:
+    """Text as LaTeX shows it letter by letter."""
+    return "".join(_ESCAPES.get(sign, sign) for sign in text)
+
+
+def filled_row(row: Row, measured: Sequence[tuple[Asked, Cell, str]]) -> FilledRow:
+    """A row with what was measured of it: each with its cell and the cell's file."""
+    return FilledRow(
+        row,
+        {asked.of: cell for asked, cell, _ in measured},
+        {asked.of: file for asked, _, file in measured},
+    )
+
+
+def _kinds(table: Table, text: str) -> list[str]:
+    return [text] if any(row.kind for row in table.rows) else []
+
+
+def _bar(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _cell(value: float | None, column: Column) -> str:
+    return NOTHING if value is None else _text(value, column)
+
+
+def _text(value: float, column: Column) -> str:
+    return f"{value:,.{column.decimals}f}"
+
+
+def _notes(filled: FilledTable) -> list[str]:
+    missing = f"Not built yet: {', '.join(filled.not_built)}." if filled.not_built else ""
+    return [*filled.notes, *([missing] if missing else [])]
+
+
+def _origins(filled: FilledTable) -> list[str]:
+    """One line for each row: scenes, hashes, seed, hours, commit, command."""
+    lines = []
+    for row in filled.rows:
+        for name, cell in row.cells.items():
+            weights = f", weights {cell.weights_sha256[:12]}" if cell.weights_sha256 else ""
+            hours = f"{cell.hours:.2f} h"
+            if cell.training_hours is not None:
+                hours += f" + {cell.training_hours:.2f} h training"
+            lines.append(
+                f"{row.row.label}, {name}: {cell.scenes} scenes, list {cell.scenes_sha256[:12]}"
+                f"{weights}, seed {'-' if cell.seed is None else cell.seed}, {hours}, "
+                f"{short(cell.commit)}, {cell.machine}, `{cell.command}`"
+            )
+    return lines

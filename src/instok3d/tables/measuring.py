@@ -1,0 +1,171 @@
+"""Measuring cells, scene by scene: what was measured before is taken from its file."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import torch
+
+from instok3d.baselines.context_masks import MasksOf, context_masks
+from instok3d.baselines.registry import METHODS
+from instok3d.baselines.settings import SplatSettings
+from instok3d.data.batches import Unit
+from instok3d.data.sample import Sample
+from instok3d.evaluation.figures import summarize
+from instok3d.evaluation.instance_ap import ApSettings
+from instok3d.evaluation.methods import Method
+from instok3d.evaluation.prediction import Prediction
+from instok3d.evaluation.run import EvaluationSettings, score_scene
+from instok3d.evaluation.score_files import score_from_json, score_to_json
+from instok3d.evaluation.scores import SceneScore
+from instok3d.evaluation.sheet import recolored
+from instok3d.evaluation.tokenizer_method import TokenizerMethod
+from instok3d.files import write_json
+from instok3d.model.files import load_model, read_unit
+from instok3d.pictures import color_picture, id_picture
+from instok3d.progress import progress_bar
+from instok3d.reading import naming_damage, read_json
+from instok3d.tables.cells import Asked, Cell, cell_path, read_cell, write_cell
+from instok3d.tables.definitions import PerScene, Tokenizer
+from instok3d.tables.features import measure_features
+from instok3d.tables.machine import machine_name
+from instok3d.tables.picture_files import write_picture
+from instok3d.tables.scene_sets import digest
+from instok3d.tables.trained import trained_model
+from instok3d.tables.trainings import SEMANTICS
+from instok3d.tables.work import PICTURED, Work
+from instok3d.version import current_commit
+
+QUICK_SPLATS = SplatSettings(steps=3, points=200)
+
+
+def measure(work: Work, asked: Asked, title: str) -> Cell:
+    """The cell, measured if it was not before; scenes that were measured are not again.
+
+    Raises:
+        ValueError: A scene cannot be measured: nothing is left out.
+    """
+    path = cell_path(work, asked)
+    if path.is_file():
+        return read_cell(path)
+    if asked.of == "features":
+        figures, seconds = measure_features(work, asked, path.with_suffix(""), title)
+    else:
+        figures, seconds = _views(work, asked, path.with_suffix(""), title)
+    names = work.scenes(asked.row.scenes, asked.views).names
+    needed = SEMANTICS if asked.of == "features" else asked.training
+    model = trained_model(work, needed) if needed else None
+    method = asked.row.method if asked.of == "views" else None
+    write_cell(
+        path,
+        Cell(
+            figures=figures,
+            method=str(method or "features"),
+            scenes=len(names),
+            scenes_sha256=digest(names),
+            weights_sha256=model and model.sha256,
+            command=work.command,
+            commit=current_commit(),
+            machine=machine_name(),
+            seed=_splats(work).seed if isinstance(method, PerScene) else model and model.seed,
+            hours=round(seconds / 3600, 5),
+            training_hours=model and model.hours,
+        ),
+    )
+    return read_cell(path)
+
+
+def _splats(work: Work) -> SplatSettings:
+    if work.schedule.quick:
+        return QUICK_SPLATS
+    return SplatSettings() if work.method_steps is None else SplatSettings(steps=work.method_steps)
+
+
+def _views(
+    work: Work, asked: Asked, folder: Path, title: str
+) -> tuple[Mapping[str, float | None], float]:
+    """Figures of pictures and masks, and the seconds that they took."""
+    scenes = work.scenes(asked.row.scenes, asked.views)
+    folder.mkdir(parents=True, exist_ok=True)
+    measured: Callable[[int], SceneScore] | None = None
+    scores: list[SceneScore] = []
+    seconds = 0.0
+    with progress_bar(len(scenes.names), unit="scene") as bar:
+        bar.set_description(title)
+        for number in range(len(scenes.names)):
+            part = folder / f"{number:05d}.json"
+            if not part.is_file():
+                measured = measured or _measurer(work, asked, folder)
+                started = time.monotonic()
+                score = score_to_json(measured(number))
+                write_json(part, {"score": score, "seconds": time.monotonic() - started})
+            remedy = "remove it, the scene is then measured again"
+            with naming_damage(part, remedy):
+                value = read_json(part, remedy)
+                scores.append(score_from_json(value["score"]))
+                seconds += value["seconds"]
+            bar.update()
+    figures = {
+        name: None if value is None else float(value)
+        for name, value in vars(summarize(scores)).items()
+        if name != "counts"
+    }
+    return figures, seconds
+
+
+def _measurer(work: Work, asked: Asked, folder: Path) -> Callable[[int], SceneScore]:
+    """What measures one scene, with the models that it takes loaded once."""
+    method, masks_of, unit = _method(work, asked)
+    given = "cameras" in method.needs
+    captures = asked.row.scenes == "captures"
+    settings = EvaluationSettings(
+        geometry="given" if given else "predicted",
+        model_unit=unit,
+        ap=ApSettings(min_instance_area=20),
+    )
+
+    @torch.no_grad()
+    def measured(number: int) -> SceneScore:
+        scene = work.scene(asked.row.scenes, asked.views, number, unit)
+        score, predictions = score_scene(
+            method, scene, settings, lpips=work.lpips, masks_of=masks_of
+        )
+        if number < PICTURED and not captures:
+            _keep_pictures(folder, number, scene.samples, predictions)
+        return score
+
+    return measured
+
+
+def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | None]:
+    row = asked.row.method
+    model = path = None
+    if asked.training is not None:
+        path = trained_model(work, asked.training).path
+        model = load_model(path)
+    if isinstance(row, Tokenizer):
+        assert model is not None
+        return TokenizerMethod(model, row.geometry, row.refine), None, read_unit(path)
+    assert isinstance(row, PerScene)
+    settings = _splats(work)
+    masks_of = None
+    if row.masks is not None and row.tracker is not None:
+        masks_of = context_masks(row.masks, row.tracker, model=model, seed=settings.seed)
+    return METHODS[row.method](settings), masks_of, None
+
+
+def _keep_pictures(
+    folder: Path, number: int, samples: Sequence[Sample], predictions: Sequence[Prediction]
+) -> None:
+    """The first target of a scene as it is and as it was predicted, for the figures."""
+    sample, prediction = samples[0], predictions[0]
+    true_ids = sample.target_instances[0, 0].cpu().numpy()
+    cells = {
+        "photo": color_picture(sample.target.images[0, 0]),
+        "truth": id_picture(true_ids),
+        "render": color_picture(prediction.images[0]),
+    }
+    if prediction.masks is not None:
+        cells["masks"] = id_picture(recolored(prediction.masks[0].ids, true_ids))
+    for name, cell in cells.items():
+        write_picture(folder / f"{number:05d}_{name}.png", cell)

@@ -1,0 +1,112 @@
+"""The tables from their plan: train, measure, write."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from instok3d.files import replacing, write_json
+from instok3d.locking import alone_in, remove_leftovers
+from instok3d.progress import StatusLine, format_duration
+from instok3d.tables.cells import asked_of, cell_path
+from instok3d.tables.definitions import Table
+from instok3d.tables.filled import FilledTable, as_json, as_latex, as_markdown, filled_row
+from instok3d.tables.measuring import measure
+from instok3d.tables.plan import TablesPlan, make_plan
+from instok3d.tables.qualitative import write_figures
+from instok3d.tables.trained import train_model
+from instok3d.tables.work import Work
+
+LOCK = ".lock"
+
+
+def make_tables(
+    work: Work, tables: Sequence[Table], *, resume: bool = False, built_only: bool = False
+) -> list[Path]:
+    """Train what is missing, measure what is missing, write the tables; returns their files.
+
+    Args:
+        work: The folder and what the tables are made of.
+        tables: Which.
+        resume: Go on in a folder that holds tables.
+        built_only: Leave out the rows whose method is not there; they are named under the table.
+
+    Raises:
+        ValueError: A row's method is not built, the folder holds tables and resume is off, another
+            process is at work in it, or a figure is missing.
+        FileNotFoundError: Rooms, captures or given models are not there.
+    """
+    folder = work.folder
+    if folder.exists() and any(folder.iterdir()) and not resume:
+        raise ValueError(f"{folder} is not empty: pass --resume to go on, or choose another folder")
+    plan = make_plan(work, tables)
+    if plan.not_built and not built_only:
+        raise ValueError(
+            f"{len(plan.not_built)} rows have no method yet ({'; '.join(plan.not_built)}): pass "
+            "--built-only to make the tables without them, which the tables then say"
+        )
+    if plan.missing:
+        raise FileNotFoundError("; ".join(plan.missing))
+    folder.mkdir(parents=True, exist_ok=True)
+    with alone_in(folder / LOCK, f"another process makes tables in {folder}; wait for its end"):
+        for place in (folder, folder / "cells", *(folder / "cells").glob("*/")):
+            remove_leftovers(place)
+        _do(work, plan)
+        return [path for table in tables for path in write_table(work, table)]
+
+
+def _do(work: Work, plan: TablesPlan) -> None:
+    """Every step that is left, with a line for each."""
+    status, left = StatusLine(), plan.hours
+    for number, step in enumerate(plan.steps, start=1):
+        if step.done:
+            continue
+        title = f"{number}/{len(plan.steps)} {step.what}"
+        status.print_above(f"{title}  (about {format_duration(3600 * left)} left in all)")
+        started = time.monotonic()
+        if step.training is not None:
+            train_model(work, step.training)
+        elif step.asked is not None:
+            measure(work, step.asked, title)
+        left = max(0.0, left - step.hours)
+        status.print_above(f"{title}  took {format_duration(time.monotonic() - started)}")
+
+
+def write_table(work: Work, table: Table) -> list[Path]:
+    """Markdown, LaTeX, JSON and figures of a table whose cells are all there.
+
+    Raises:
+        FileNotFoundError: A cell is not.
+        ValueError: A figure is missing.
+    """
+    rows, folders = [], []
+    for row, asked in asked_of(table):
+        paths = {each.of: cell_path(work, each) for each in asked}
+        measured = [
+            (each, measure(work, each, row.label), str(paths[each.of].relative_to(work.folder)))
+            for each in asked
+        ]
+        rows.append(filled_row(row, measured))
+        folders.append((row, {of: path.with_suffix("") for of, path in paths.items()}))
+    filled = FilledTable(table, tuple(rows), _notes(work))
+    texts = {"md": as_markdown(filled), "tex": as_latex(filled)}
+    value = as_json(filled)
+    figures = write_figures(work.folder, table.number, folders, len(_test_names(work, table)))
+    stem = work.folder / f"table{table.number}"
+    for suffix, text in texts.items():
+        with replacing(stem.with_suffix(f".{suffix}")) as part:
+            part.write_text(text)
+    write_json(stem.with_suffix(".json"), value)
+    return [stem.with_suffix(each) for each in (".md", ".tex", ".json")] + figures
+
+
+def _test_names(work: Work, table: Table) -> Sequence[str]:
+    return work.scenes("test", table.views).names if table.number in (1, 2) else []
+
+
+def _notes(work: Work) -> tuple[str, ...]:
+    notes = ["Rendered rooms, not ScanNet: compare rows with each other, not with the paper."]
+    if work.schedule.quick:
+        notes.insert(0, "QUICK: toy sizes that show that all parts fit; the figures mean nothing.")
+    if work.lpips is None:
+        notes.append("LPIPS was not measured: no weights were given (--lpips).")
+    return tuple(notes)
