@@ -257,7 +257,7 @@ class SemanticsStage:
             shape = done.teacher.shape[-2:]
             rows.append(
                 [
-                    color_picture(sample.target.images[k, 0]),
+                    color_picture(functional.interpolate(sample.target.images[k, :1], shape)[0]),
                     *(
                         color_picture(
                             (functional.normalize(each, dim=1) @ directions.Vh[:3].T * 0.5 + 0.5)
