@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,12 +19,14 @@ import noise_rooms
 from command_lines import parses
 from instok3d.evaluation.disturbances import DISTURBANCES
 from instok3d.files import write_json
+from instok3d.model.files import load_model, read_card, save_model
 from instok3d.rooms.seen_colors import NAMES as COLORS
 from instok3d.rooms.shards import new_index
 from instok3d.semantics.classes import PHRASES
 from instok3d.semantics.teachers.file import load_teacher
 from instok3d.semantics.text import quantized, save_table
 from instok3d.semantics.wordpiece import UNKNOWN
+from made_model import made_model
 from noise_rooms import noise_scene
 
 RUNS = Path(__file__).resolve().parents[1] / "runs"
@@ -101,20 +104,21 @@ def test_training_for_real_photos_runs_commands_that_exist_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: list[str]
 ):
     commands = recorded(tmp_path, "real_photos.sh", *mode)
-    (joined,) = (words for words in commands if words[0].endswith("joined_weights.py"))
-    place = commands.index(joined)
-    assert commands[place - 1][:2] == ["train", "nano-refinement"]
-    commands.remove(joined)
+    (mean,) = (words for words in commands if words[0].endswith("mean_weights.py"))
+    place = commands.index(mean)
+    start, end = commands[3][commands[3].index("--init-from") + 1], commands[4][-3]
+    assert mean[1:3] == [start, end]
+    commands.remove(mean)
     stages = [words[:2] for words in commands]
-    training = ["nano-geometry", "nano-refinement", "nano-tokenizer", "export"]
-    assert stages[:7] == [["data", "rooms"]] * 3 + [["train", name] for name in training]
-    assert all(words[0] == "evaluate" for words in commands[7:])
+    training = ["nano-tokenizer", "export"]
+    assert stages[:place] == [["data", "rooms"]] * 3 + [["train", name] for name in training]
+    assert all(words[0] == "evaluate" for words in commands[place:])
     assert ["real" in words for words in commands[:3]] == [False, True, False]
     made = [words[words.index("-o") + 1] for words in commands[:2]]
-    for words in commands[3:6]:
-        assert words[words.index("--batches.sensor.strength") + 1] == "1"
-        data = words.index("--data")
-        assert words[data + 1 : data + 3] == made
+    words = commands[3]
+    assert words[words.index("--batches.sensor.strength") + 1] == "1"
+    data = words.index("--data")
+    assert words[data + 1 : data + 3] == made
     rows = [words for words in commands if "--refine" in words]
     assert sum("--disturb" in words for words in rows) == 2 * len(DISTURBANCES)
     assert len(rows) == 2 * len(DISTURBANCES) + 2
@@ -125,12 +129,12 @@ def test_training_for_real_photos_runs_commands_that_exist_in_order(
 
 def test_training_for_real_photos_goes_on_and_keeps_what_is_done(tmp_path: Path):
     folder = tmp_path / "my run"
-    (folder / "geometry" / "checkpoints").mkdir(parents=True)
-    (folder / "geometry" / "checkpoints" / "step_00000100.pt").touch()
-    for name in ("first.safetensors", "real_photos.safetensors", "hard-0.md"):
+    (folder / "tokenizer" / "checkpoints").mkdir(parents=True)
+    (folder / "tokenizer" / "checkpoints" / "step_00000100.pt").touch()
+    for name in ("real_photos.safetensors", "hard-0.md"):
         (folder / name).touch()
     commands = recorded(tmp_path, "real_photos.sh")
-    assert [words[1] for words in commands if "--resume" in words] == ["nano-geometry"]
+    assert [words[1] for words in commands if "--resume" in words] == ["nano-tokenizer"]
     assert not any("export" in words or words[0].endswith("weights.py") for words in commands)
     hard = [words for words in commands if "hard" in words]
     assert [words[words.index("--refine") + 1] for words in hard] == ["100"]
@@ -190,28 +194,32 @@ def test_catalogues_are_for_the_rooms_of_level_real(
 
 def test_the_plan_of_the_training_for_real_photos_writes_nothing(tmp_path: Path):
     commands = recorded(tmp_path, "real_photos.sh", "--dry-run")
-    assert [words[:2] for words in commands] == [
-        ["train", "nano-geometry"], ["train", "nano-refinement"], ["train", "nano-tokenizer"],
-    ]  # fmt: skip
+    assert [words[:2] for words in commands] == [["train", "nano-tokenizer"]]
     assert all("--dry-run" in words for words in commands)
     assert not (tmp_path / "my run").exists()
 
 
-def test_the_tokenizer_of_one_model_joins_the_backbone_of_another(tmp_path: Path):
+def test_the_tokenizer_of_one_model_joins_the_backbone_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     ones, twos, odd = (tmp_path / name for name in ("1.safetensors", "2.safetensors", "3.st"))
     one, two = torch.ones(2), torch.full((2,), 2.0)
     save_file({"anchors": one, "backbone.a": one.clone()}, ones)
     save_file({"a": two}, twos)
     save_file({"b": two}, odd)
-    command = [sys.executable, RUNS / "joined_weights.py", ones, "-o", tmp_path / "joined"]
-    subprocess.run([*command, twos], check=True)
+
+    def join(backbone: Path) -> None:
+        words = ["joined_weights.py", ones, backbone, "-o", tmp_path / "joined"]
+        monkeypatch.setattr(sys, "argv", [str(word) for word in words])
+        runpy.run_path(str(RUNS / "joined_weights.py"), run_name="__main__")
+
+    join(twos)
     joined = load_file(tmp_path / "joined")
     assert {name: value.tolist() for name, value in joined.items()} == {
         "anchors": [1.0, 1.0], "backbone.a": [2.0, 2.0],
     }  # fmt: skip
-    failed = subprocess.run([*command, odd], capture_output=True, text=True, check=False)
-    assert "they differ in ['backbone.a', 'backbone.b']" in failed.stderr
-    assert failed.returncode
+    with pytest.raises(ValueError, match=r"they differ in \['backbone.a', 'backbone.b'\]"):
+        join(odd)
 
 
 @pytest.mark.parametrize("script", ["rehearsal.sh", "real_photos.sh"])
@@ -250,6 +258,43 @@ def test_the_embedded_teacher_is_trained_and_the_run_goes_on(
     lines = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
     looks = [line for line in lines if "lsm_miou" in line]
     assert looks[0]["step"] == looks[1]["step"] > 0
+
+
+def test_the_mean_of_two_models_lies_between_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(RUNS))
+    script = import_module("mean_weights")
+    start = made_model(tmp_path / "start.safetensors")
+    end = load_model(start)
+    with torch.no_grad():
+        for parameter in end.parameters():
+            parameter.add_(1.0)
+    card = {"name": "end", "image_side": 32, "validation": {"psnr": 20}}
+    save_model(end, tmp_path / "end.safetensors", card=card, half=False)
+    output = tmp_path / "mean.safetensors"
+    words = [
+        start,
+        tmp_path / "end.safetensors",
+        "-o",
+        output,
+        "--share",
+        "0.25",
+        "--notes",
+        "made",
+    ]
+    script.main([str(each) for each in words])
+    mean, first = load_model(output).state_dict(), load_model(start).state_dict()
+    for name, weight in load_model(start).named_parameters():
+        torch.testing.assert_close(mean[name], weight + 0.25, atol=2e-3, rtol=1e-3)
+    assert all(
+        torch.equal(mean[name], first[name])
+        for name in first
+        if not first[name].is_floating_point()
+    )
+    assert read_card(output) == {"name": "mean", "image_side": 32, "notes": "made"}
+    with pytest.raises(ValueError, match=r"differ in their tensors: \['a'\]"):
+        script.mean_weights({"a": torch.ones(1)}, {"a": torch.ones(2)}, 0.5)
+    with pytest.raises(ValueError, match=r"--share must lie in 0\.\.1, got 2\.0"):
+        script.main([*map(str, words[:4]), "--share", "2"])
 
 
 @pytest.mark.parametrize("path", sorted(RUNS.glob("*.py")), ids=lambda path: path.stem)
