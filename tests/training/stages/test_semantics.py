@@ -134,9 +134,13 @@ def test_an_exported_file_serves_its_tokenizer_alone(
     tiny: SemanticsStageConfig, model: SemanticRun, sample: Sample, tmp_path: Path
 ):
     file = tmp_path / "semantics.safetensors"
-    tiny.export(AveragedRun(tmp_path, model.state_dict(), {"steps": 3}), file, half=False)
+    card = {"steps": 3, "config": {"seed": 5, "stage": {"teacher": tiny.teacher, "know": 1}}}
+    tiny.export(AveragedRun(tmp_path, model.state_dict(), card), file, half=False)
     loaded = load_semantics(file, model.tokenizer)
-    assert (loaded.encoder, loaded.card) == ("true-words", {"steps": 3})
+    assert loaded.encoder == "true-words"
+    no_folder = f"words:{Path(tiny.teacher).name}"
+    wanted = {"steps": 3, "config": {"seed": 5, "stage": {"teacher": no_folder, "know": 1}}}
+    assert loaded.card == wanted
     photos = photos_only(sample.context)
     features = torch.randn(2, 2, 16, 16, 16, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():

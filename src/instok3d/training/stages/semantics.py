@@ -7,7 +7,7 @@ of the target views are what the scene, rendered there, must give (Eq. 7, 8).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -147,10 +147,19 @@ class SemanticsStageConfig(StageConfig):
         teacher = opened(self.teacher)
         encoder = teacher.teacher if isinstance(teacher, PhotoTeacher) else None
         save_semantics(
-            model.semantic, output, encoder=teacher.name, card=run.card, half=half,
+            model.semantic, output, encoder=teacher.name, card=self._card(run), half=half,
             tokenizer_sha256=tokenizer_digest(model.tokenizer),
             beside=teacher_tensors(encoder) if isinstance(encoder, RoomTeacher) else ({}, {}),
         )  # fmt: skip
+
+    def _card(self, run: AveragedRun) -> dict[str, Any]:
+        """The card with the name of the teacher's file alone: files travel, folders are private."""
+        config = run.card.get("config")
+        if config is None:
+            return run.card
+        kind, _, place = self.teacher.partition(":")
+        stage = {**config["stage"], "teacher": f"{kind}:{Path(place).name}"}
+        return {**run.card, "config": {**config, "stage": stage}}
 
 
 def opened(teacher: str) -> SampleTeacher:
