@@ -55,10 +55,17 @@ def test_a_share_of_the_questions_passes():
 
 
 def test_labels_are_given_where_they_are_more_often_right_than_not():
-    # 100 objects, those below 0.4 always wrong: the window of 5 objects is half right from
-    # score 0.38 (0.38, 0.39 wrong; 0.40, 0.41, 0.42 right).
+    # 100 objects, those below 0.4 always wrong, those above right.
     scores = torch.arange(100) / 100
-    assert naming_threshold(scores, scores >= 0.395) == pytest.approx(0.38)
+    right = scores >= 0.395
+    assert naming_threshold(scores, right) == pytest.approx(0.4)
+    # A surprise at 0.7 pools with the sure ones below it, whose share stays above one half.
+    right[70] = False
+    assert naming_threshold(scores, right) == pytest.approx(0.4)
+    # By hand: the right one at 0.2 and the wrong one at 0.3 pool to 1 / 2; the rest is right.
+    few, known = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5]), torch.tensor([0, 1, 0, 1, 1]).bool()
+    assert naming_threshold(few, known) == pytest.approx(0.2)
+    assert naming_threshold(few, known, 0.6) == pytest.approx(0.4)
     assert naming_threshold(scores, torch.ones(100, dtype=torch.bool)) == 0
     assert naming_threshold(scores, torch.zeros(100, dtype=torch.bool)) == 1
     with pytest.raises(ValueError, match="no object"):
