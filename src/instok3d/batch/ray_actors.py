@@ -10,6 +10,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from importlib import import_module
 from typing import Any
 
 from instok3d.batch.executor import Answer, Job, Outcome, ProcessDiedError
@@ -176,13 +177,12 @@ def shared_processors(machines: Sequence[int], workers: int) -> int:
 
 def _ray() -> Any:
     try:
-        import ray
+        return import_module("ray")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             f"--ray needs the package {error.name}: pip install 'instok3d[ray]', here and on the "
             "machines of the cluster"
         ) from error
-    return ray
 
 
 def _check_address(address: str) -> None:
