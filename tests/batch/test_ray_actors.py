@@ -4,6 +4,7 @@ import json
 import socket
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -107,5 +108,17 @@ def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
     with (
         pytest.raises(ValueError, match="workers must be 1 or more, got 0"),
         ray_actors("local", 0),
+    ):
+        pass
+
+
+def test_a_cluster_that_does_not_start_is_no_fault_of_the_program(monkeypatch: pytest.MonkeyPatch):
+    def init(*words: object, **settings: object) -> None:
+        raise Exception("The current node timed out\nduring startup.")  # as Ray does
+
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=init))
+    with (
+        pytest.raises(ConnectionError, match="cluster local: The current node timed out during"),
+        ray_actors("local"),
     ):
         pass

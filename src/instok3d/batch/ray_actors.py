@@ -212,7 +212,7 @@ def _connect(ray: Any, address: str, workers: int | None) -> None:
     before = signal.getsignal(signal.SIGTERM)
     try:
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL, **own)
-    except (ConnectionError, RuntimeError) as error:
+    except Exception as error:  # of a node that does not start in time there is no narrower one
         words = " ".join(str(error).split())[:300]
         raise ConnectionError(
             f"cannot work with the Ray cluster {address}: {words or type(error).__name__}"
