@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from instok3d.files import json_text, sha256_of
+from instok3d.hub.references import WORD
 from instok3d.reading import naming_damage, one_of, read_json, text, whole_number
 
 FORMAT = "instok3d-hub-1"
@@ -15,7 +16,6 @@ REMEDY = "push it again, or take another commit"
 MODEL, SEMANTICS = "model.safetensors", "semantics.safetensors"
 
 Kind = Literal["model", "scene"]
-WORD = "[A-Za-z0-9][A-Za-z0-9._-]*"
 ALLOWED: dict[Kind, re.Pattern[str]] = {
     "model": re.compile(rf"({MODEL}|{SEMANTICS})".replace(".", r"\.")),
     "scene": re.compile(

@@ -1,6 +1,6 @@
 """Similarities to probabilities: one calibration of an encoder for all scenes.
 
-It is fitted on validation rooms (`runs/query_calibration.py`) and kept with the encoder's weights,
+It is fitted on validation rooms (`runs/query_table.py --fit`) and kept with the encoder's weights,
 so that no scene needs a threshold of its own.
 """
 
