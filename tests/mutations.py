@@ -116,10 +116,10 @@ def of_json(data: bytes, rng: random.Random) -> bytes:
         return of_bytes(data, rng)
     if rng.random() < 0.02:
         return b"[" * 100_000
-    value = json.loads(data)
+    root = [json.loads(data)]
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        value = changed_value(value, rng)
-    text = json.dumps(value)
+        _change(root, rng)
+    text = json.dumps(root[0])
     if rng.random() < 0.05 and "{" in text:
         text = text.replace("{", '{"version": 1, "version": 2, "format": 1, ', 1)
     return text.encode()
@@ -128,7 +128,13 @@ def of_json(data: bytes, rng: random.Random) -> bytes:
 def changed_value(value: Any, rng: random.Random) -> Any:
     """The value with one place in it changed."""
     root = [copy.deepcopy(value)]
-    holder, key = rng.choice(list(_places(root, 0)))
+    _change(root, rng)
+    return root[0]
+
+
+def _change(root: list[Any], rng: random.Random) -> None:
+    """Change one place in the value that a list holds."""
+    holder, key = rng.choice(_places(root))
     old, kind = holder[key], rng.randrange(10)
     if kind == 0 and holder is not root:
         del holder[key]
@@ -140,16 +146,20 @@ def changed_value(value: Any, rng: random.Random) -> Any:
         holder[key] = rng.choice((old + 1, -old, old * 1000, str(old)))
     else:
         holder[key] = copy.deepcopy(rng.choice(NASTY))
-    return root[0]
 
 
-def _places(holder: Any, key: Any) -> Iterator[tuple[Any, Any]]:
+def _places(root: list[Any]) -> list[tuple[Any, Any]]:
     """Every place in a value of JSON, as what holds it and its key."""
-    yield holder, key
-    inner = holder[key]
-    keys = range(len(inner)) if isinstance(inner, list) else inner
-    for each in keys if isinstance(inner, list | dict) else ():
-        yield from _places(inner, each)
+    found: list[tuple[Any, Any]] = []
+    ahead: list[tuple[Any, Any]] = [(root, 0)]
+    while ahead:
+        holder, key = ahead.pop()
+        found.append((holder, key))
+        inner = holder[key]
+        if isinstance(inner, list | dict):
+            keys = range(len(inner)) if isinstance(inner, list) else inner
+            ahead += [(inner, each) for each in reversed(keys)]
+    return found
 
 
 def of_safetensors(data: bytes, rng: random.Random) -> bytes:

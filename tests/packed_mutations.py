@@ -1,5 +1,6 @@
 """Damage inside of compressed files, which reaches further than damage of their bytes."""
 
+import functools
 import gzip
 import io
 import json
@@ -21,8 +22,7 @@ def of_zip(data: bytes, rng: random.Random) -> bytes:
     """One part damaged, left out or doubled, and a sound archive made of them."""
     if rng.random() < 0.2:
         return of_bytes(data, rng)
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        parts = [(name, archive.read(name)) for name in archive.namelist()]
+    parts = list(_parts(data))
     which = rng.randrange(len(parts))
     if rng.random() < 0.5:  # most can be said wrong there
         which = next(i for i, (name, _) in enumerate(parts) if name.endswith(".json"))
@@ -40,6 +40,13 @@ def of_zip(data: bytes, rng: random.Random) -> bytes:
         for name, content in parts:
             archive.writestr(name, content)
     return stream.getvalue()
+
+
+@functools.lru_cache(1)  # one archive is damaged many times
+def _parts(data: bytes) -> tuple[tuple[str, bytes], ...]:
+    """Names and contents of an archive's parts."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return tuple((name, archive.read(name)) for name in archive.namelist())
 
 
 def of_glb(data: bytes, rng: random.Random) -> bytes:
