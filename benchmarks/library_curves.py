@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from panels import Panel, draw_panels
 
 from instok3d.library.entries import Encoder, Entry, SceneEntries, SceneLibrary
 from instok3d.library.folder import FolderLibrary
@@ -160,28 +160,11 @@ WAYS = {"folder": by_folder, "hnsw": by_hnsw, "milvus": by_milvus}
 
 
 def plot(rows: list[dict], file: Path) -> None:
-    """A panel for each figure over the number of objects, both in powers of ten; recall is not."""
-    names = ("p50_ms", "p99_ms", "bytes", "build_s", "recall")
-    picture = Image.new("RGB", (len(names) * 240, 220), "white")
-    draw = ImageDraw.Draw(picture)
-    across = np.log10([row["objects"] for row in rows])
-    for panel, name in enumerate(names):
-        values = np.array([row[name] for row in rows], float)
-        up = values if name == "recall" else np.log10(values.clip(1e-9))
-        low, high = (0.0, 1.0) if name == "recall" else (np.floor(up.min()), np.ceil(up.max()))
-        x = panel * 240 + 30 + 180 * (across - across.min()) / max(np.ptp(across), 1e-9)
-        y = 190 - 150 * (up - low) / max(high - low, 1e-9)
-        draw.rectangle([panel * 240 + 30, 40, panel * 240 + 210, 190], outline="gray")
-        draw.text((panel * 240 + 30, 26), f"{name}, {low:g} to {high:g}", fill="black")
-        for place, way in enumerate(WAYS):
-            mine = [index for index, row in enumerate(rows) if row["way"] == way]
-            color = ("red", "blue", "green")[place]
-            draw.line([(x[index], y[index]) for index in mine], fill=color, width=2)
-            for index in mine:
-                spot = (x[index] - 3, y[index] - 3, x[index] + 3, y[index] + 3)
-                draw.ellipse(spot, fill=color)
-            draw.text((panel * 240 + 30 + 60 * place, 200), way, fill=color)
-    picture.save(file)
+    """A panel for each figure over the number of objects."""
+    ways = [way for way in WAYS if any(row["way"] == way for row in rows)]
+    curves = {way: [row for row in rows if row["way"] == way] for way in ways}
+    sizes = [Panel(name) for name in ("p50_ms", "p99_ms", "bytes", "build_s")]
+    draw_panels(curves, "objects", [*sizes, Panel("recall", (0, 1))], file)
 
 
 def main() -> None:
