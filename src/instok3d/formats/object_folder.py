@@ -12,7 +12,7 @@ from instok3d.formats.parts import file_stem, only_objects
 from instok3d.formats.ply import write_scene_ply
 from instok3d.formats.registry import ExportOptions
 from instok3d.formats.statements import scene_comments
-from instok3d.scene.previews import object_picture
+from instok3d.scene.object_pictures import object_picture
 from instok3d.scene.scene import Scene
 
 FORMAT = "instok3d-objects-1"

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from instok3d.library.entries import Encoder, Entry, SceneEntries
+from instok3d.scene.object_pictures import object_picture
 from instok3d.scene.objects import SceneObject
-from instok3d.scene.previews import object_picture
 from instok3d.scene.scene import Scene
 
 THUMBNAIL = 128
@@ -76,17 +76,6 @@ def entries_of(scene: Scene, encoder: str, place: object) -> SceneEntries:
 def thumbnail(scene: Scene, item: SceneObject) -> bytes:
     """An object alone on white, where it is seen best, as a small JPEG file."""
     picture = Image.fromarray(object_picture(scene, item))
-    if item.best_view is not None:
-        x0, y0, x1, y1 = item.best_view.bbox
-        margin = 1 + max(x1 - x0, y1 - y0) // 10
-        picture = picture.crop(
-            (
-                max(0, x0 - margin),
-                max(0, y0 - margin),
-                min(picture.width, x1 + margin),
-                min(picture.height, y1 + margin),
-            )
-        )
     picture.thumbnail((THUMBNAIL, THUMBNAIL))
     stream = io.BytesIO()
     picture.save(stream, "JPEG", quality=85)

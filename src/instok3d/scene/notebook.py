@@ -4,7 +4,8 @@ import base64
 import html
 import io
 
-from instok3d.scene.previews import object_picture, scene_sheet
+from instok3d.scene.object_pictures import object_picture
+from instok3d.scene.previews import scene_sheet
 from instok3d.scene.scene import Scene
 
 MOST_OBJECTS = 48

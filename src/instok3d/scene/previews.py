@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from PIL import Image
 
 from instok3d.files import replacing_folder
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture, save_png
+from instok3d.scene.object_pictures import object_in_photo, object_picture
 from instok3d.scene.objects import SceneObject
-from instok3d.scene.paths import around, orbit
+from instok3d.scene.paths import orbit
 from instok3d.scene.scene import Scene
 
 CELL = 160
@@ -63,7 +63,7 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
     """Write contact_sheet.png and objects/NNN.png, one for each object, into a folder.
 
     The sheet has the inputs, the scene rendered at the inputs, the objects' pixels coloured, and
-    a tile for each object: it alone, in the view that shows most of it.
+    for each object its part of the photo that shows most of it, and it alone (`object_pictures`).
     """
     tiles = []
     for number, item in enumerate(scene.objects, 1):
@@ -76,24 +76,17 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
     save_png(scene_sheet(scene, scene.objects, tiles), folder / "contact_sheet.png")
 
 
-def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height width 3"]:
-    """One object alone on white, from the input view that shows most of it, or else from around."""
-    best = item.best_view
-    size = scene.height, scene.width
-    cameras = (
-        around(scene.part(item.id), scene.vertical.up, *size, frames=1)
-        if best is None
-        else scene.cameras.view(best.view)
-    )
-    picture = scene.render(cameras, *size, only=item.id, background=(1.0, 1.0, 1.0))
-    return color_picture(picture.colors[0])
-
-
 @torch.no_grad()
 def scene_sheet(
     scene: Scene, objects: Sequence[SceneObject], tiles: Sequence[np.ndarray]
 ) -> Image.Image:
-    """Photos, renders, ids, and a tile for each of some objects (`object_picture`) on one sheet."""
+    """Photos, renders, ids, and two pictures of each of some objects on one sheet.
+
+    Args:
+        scene: Any; of one without photos each object has one picture.
+        objects: Some of it.
+        tiles: Each of them alone (`object_picture`).
+    """
     cameras = scene.cameras if scene.views else orbit(scene, AROUND)
     pictures = scene.render(cameras, scene.height, scene.width, ids=True)
     assert pictures.ids is not None
@@ -102,7 +95,12 @@ def scene_sheet(
     mixed = (0.35 * behind + 0.65 * id_picture(pictures.ids)).astype(np.uint8)
     names = [view.file for view in scene.views] or ["around"] * AROUND
     numbers = [f"{index} {name}" for index, name in enumerate(names)]
-    keys = [f"{item.key} {item.num_gaussians}" for item in objects]
+    cells, keys = [], []
+    for item, tile in zip(objects, tiles, strict=True):
+        seen = object_in_photo(scene, item)
+        cells += [tile] if seen is None else [seen, tile]
+        key = f"{item.key} {item.num_gaussians}"
+        keys += [key] if seen is None else [key, "alone"]
     sections = [
         Section("photos", list(photos), numbers),
         Section(
@@ -110,7 +108,7 @@ def scene_sheet(
             list(color_picture(pictures.colors)), numbers,
         ),
         Section(f"{len(scene.objects)} objects", list(mixed), numbers),
-        Section("each object alone, with its number of Gaussians", list(tiles), keys),
+        Section("each object in a photo, with its number of Gaussians, and alone", cells, keys),
     ]  # fmt: skip
     shown = [section for section in sections if section.cells or scene.views]
     return contact_sheet(shown, cell_height=CELL)

@@ -41,8 +41,8 @@ class Answer:
         return f"<Answer {self.object.key} probability={self.probability:.2f}>"
 
     def thumbnail(self) -> UInt8[np.ndarray, "height width 3"]:
-        """The object alone on white, in the view that shows most of it."""
-        from instok3d.scene.previews import object_picture  # it draws scenes: imports Scene
+        """The object alone on white, as the view that shows most of it sees it, enlarged."""
+        from instok3d.scene.object_pictures import object_picture  # it draws scenes: imports Scene
 
         return object_picture(self.scene, self.object)
 
