@@ -1,5 +1,6 @@
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -43,15 +44,17 @@ def test_every_scene_is_what_reconstruct_makes_and_a_bad_one_ends_nothing(
     photos: Path, options: Options, tmp_path: Path
 ):
     said: list[str] = []
+    options = replace(options, pixels=64)
     batch = run_batch(photos, tmp_path / "out", options, say=said.append)
     assert sorted(batch.results) == ["bath", "broken", "kitchen"]
     assert [*batch.failed] == ["broken"]
     assert len(said) == 1
     assert said[0].startswith("broken: ")
     assert "a.png" in said[0]
-    alone = reconstruct(photos / "kitchen", model=options.model, refine=0)
+    alone = reconstruct(photos / "kitchen", model=options.model, refine=0, pixels=64)
     made = Scene.load(tmp_path / "out" / "kitchen.itk")
     assert made.provenance == alone.provenance
+    assert (made.height, made.width) == (64, 64)
     assert made.gaussians.means.equal(alone.gaussians.means)
     record = json.loads((tmp_path / "out" / "batch.json").read_text())
     assert (record["done"], record["failed"]) == (2, 1)
@@ -162,3 +165,11 @@ def test_a_scene_without_semantics_is_made_and_said_not_to_be_in_the_library(
     assert "kitchen: made, but" in said.err
     assert "has no semantics" in said.err
     assert not Path(library).exists()
+
+
+def test_pixels_that_no_scene_can_have_are_refused_before_the_first_one(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["batch", str(photos), "-o", str(tmp_path / "out"), "--pixels", "5"]) == 2
+    assert "pixels (--pixels) must lie in 64..512, got 5" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

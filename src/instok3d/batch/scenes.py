@@ -31,6 +31,8 @@ class Options:
     """Make groups whole objects."""
     max_views: int = 16
     """Of more photos, this many are chosen to cover all."""
+    pixels: int | None = None
+    """Height and width at which the model sees the photos; None takes that of its training."""
     seed: int = 0
     """Same photos, model and seed give the same bytes, with as many threads."""
     device: str = "cpu"
@@ -126,6 +128,7 @@ def make_scene(job: SceneJob) -> MadeScene:
             refine=DEFAULT_STEPS if options.refine is None else options.refine,
             clean_up=options.clean_up,
             max_views=options.max_views,
+            pixels=options.pixels,
             device=options.device,
             read_model=held_model,
         )

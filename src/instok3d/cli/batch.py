@@ -25,6 +25,7 @@ def run(
     refine: int | None = None,
     clean_up: bool = True,
     max_views: int = 16,
+    pixels: int | None = None,
     seed: int = 0,
     device: str = "cpu",
     json: bool = False,
@@ -47,6 +48,7 @@ def run(
         refine: As in `instok3d reconstruct`.
         clean_up: As in `instok3d reconstruct`.
         max_views: Of more photos, this many are chosen to cover all.
+        pixels: As in `instok3d reconstruct`.
         seed: Same photos, model and seed give the same bytes, with as many threads.
         device: Where the model runs, such as cuda.
         json: Print one JSON object.
@@ -63,7 +65,11 @@ def run(
     if ray is not None:  # its processes work elsewhere
         photos, output = photos.absolute(), output.absolute()
         model = model if model is None or is_hub(model) else model.absolute()
-    options = Options(model, geometry, refine, clean_up, max_views, seed, device)
+    if pixels is not None:
+        from instok3d.scene.reconstruct import checked_side
+
+        checked_side(pixels)  # once, not as the failure of every scene
+    options = Options(model, geometry, refine, clean_up, max_views, pixels, seed, device)
     with plain_warnings(), _executor(ray, workers, device) as executor:
         batch = run_batch(
             photos, output, options, executor=executor, say=_say,
