@@ -266,7 +266,8 @@ def seen_by(teacher: Teacher, room: RoomTruth, scene: Scene) -> torch.Tensor:
 
 def lifted_by(encoder: str, scene: Scene) -> torch.Tensor:
     """What a scene's own semantics say of its objects."""
-    return scene.semantics[encoder].of_objects([item.id for item in scene.objects])
+    ids = [item.id for item in scene.objects]
+    return scene.semantics[encoder].of_objects(ids, scene.tokens.assignment)
 
 
 def main() -> None:

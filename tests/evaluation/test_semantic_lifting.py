@@ -9,6 +9,7 @@ from fake_rooms import FakeRooms
 from instok3d.data.batches import make_sample
 from instok3d.data.view_sampling import FrameChoice
 from instok3d.data.words import ObjectWords
+from instok3d.evaluation import semantic_lifting
 from instok3d.evaluation.semantic_lifting import (
     ANCHOR,
     BOTH,
@@ -138,6 +139,31 @@ def test_fitted_groups_have_the_mean_direction_of_what_is_seen_of_them(scene: Li
     lengths = scene.tokens.shared[0, :, 0].norm(dim=1)
     assert shared.max() <= lengths.max() + 1e-4
     assert shared.max() > 0.5 * lengths.min()
+
+
+def test_fitting_moves_the_shared_features_of_a_group_together(scene: LiftedScene):
+    one, apart = scene.tokens, torch.linspace(-1, 1, CHANNELS)
+    anchors = one.mixing.shape[1]
+    mixing = torch.rand(1, anchors, 2, generator=torch.Generator().manual_seed(1)).softmax(-1)
+    two = replace(
+        one, shared=torch.cat([one.shared + apart, one.shared - apart], dim=2), mixing=mixing
+    )
+    known = replace(scene, tokens=two)
+    size = (scene.photos.shape[-2], scene.photos.shape[-1])
+    maps = render_semantics(
+        scene.groups.gaussians, scene.groups.assignment, two, scene.cameras.batched(), *size
+    )
+    found = semantic_lifting._fitted(known, maps).shared[0]
+    torch.testing.assert_close(found[:, 0] - found[:, 1], (2 * apart).expand(len(found), -1))
+    # The mean of a group that is seen, by what is seen of each, points to the sofa.
+    seen = maps.shares[0, : scene.num_context].sum(dim=(0, 3, 4))
+    means = torch.einsum("gk,gkd->gd", seen / seen.sum(dim=1, keepdim=True), found)
+    for group in (seen.sum(dim=1) > 1).nonzero()[:, 0].tolist():
+        assert int(means[group].argmax()) == PHRASES.index("sofa")
+        others = means[group].abs().sum() - means[group].max()
+        assert float(others) == pytest.approx(0, abs=1e-3)
+    phrases = Constant().text(PHRASES)
+    assert feature_maps(known, FITTED, phrases)[1] == two.num_scalars
 
 
 def test_the_encoder_agrees_with_itself_and_names_what_it_sees(scene: LiftedScene):

@@ -85,7 +85,9 @@ def test_scenes_come_with_semantics_and_are_the_same_scenes(folder: Path, tmp_pa
     assert [item.key for item in again.objects] == [item.key for item in scene.objects]
     answers = again.query("chair", encoder=load_encoder(folder / "semantics.safetensors"))
     assert answers is not None
-    vectors = again.semantics["rooms-made"].of_objects([item.id for item in again.objects])
+    vectors = again.semantics["rooms-made"].of_objects(
+        [item.id for item in again.objects], again.tokens.assignment
+    )
     assert torch.allclose(vectors.norm(dim=1), torch.ones(len(again.objects)), atol=1e-5)
 
 
@@ -147,6 +149,19 @@ def test_shared_features_point_to_what_is_seen_of_each_object(folder: Path):
             continue
         assert int(row.argmax()) == axis
         assert float(row.norm()) == pytest.approx(float(before[item.id - 1, 0].norm()), rel=1e-2)
+    # Of two shared features the mean is fitted, and they differ as before.
+    apart = torch.randn(CHANNELS, generator=torch.Generator().manual_seed(2)).half().float()
+    one = scene.semantics["rooms-made"]
+    two = replace(
+        one,
+        shared=torch.cat([one.shared + apart, one.shared - apart], dim=1),
+        mixing=torch.full((len(one.mixing), 2), 0.5),
+    )
+    pair = found.fitted(replace(scene, semantics={"rooms-made": two}), features)
+    fit = pair.semantics["rooms-made"].shared
+    torch.testing.assert_close(fit.mean(dim=1), after[:, 0], atol=4e-3, rtol=2e-3)
+    away = (2 * apart).expand(len(fit), -1)
+    torch.testing.assert_close(fit[:, 0] - fit[:, 1], away, atol=8e-3, rtol=4e-3)
     no_objects = replace(scene, objects=())
     kept = found.fitted(no_objects, features).semantics["rooms-made"].shared
     assert torch.equal(kept, before)
@@ -235,5 +250,6 @@ def test_nothing_is_known_of_a_group_without_features(folder: Path):
     scene = replace(made(folder, folder / "semantics.safetensors", refine=0))
     one = scene.semantics["rooms-made"]
     bare = replace(scene, semantics={"rooms-made": replace(one, shared=0 * one.shared)})
-    assert bare.semantics["rooms-made"].of_objects([1, 2]).eq(0).all()
-    assert bare.semantics["rooms-made"].of_objects([]).shape == (0, CHANNELS)
+    known, pi = bare.semantics["rooms-made"], bare.tokens.assignment
+    assert known.of_objects([1, 2], pi).eq(0).all()
+    assert known.of_objects([], pi).shape == (0, CHANNELS)

@@ -51,6 +51,40 @@ def test_the_scene_is_that_without_semantics_bit_for_bit(rng, views):
     assert tokens.residuals.shape == (2, groups.anchors.tokens.shape[1], 2)
 
 
+def test_several_shared_features_begin_as_the_one(rng):
+    tokenizer, one = made()
+    two = SemanticModel(tokenizer, replace(CONFIG, num_basis=2))
+    photos, features = inputs(rng, 2)
+    assert two.decoder.mixing is not None
+    before = two.decoder.mixing.weight.clone()
+    two.start_from(one)
+    tokens, wanted = (model(tokenizer, photos, features)[1] for model in (two, one))
+    torch.testing.assert_close(tokens.shared, wanted.shared.expand(-1, -1, 2, -1))
+    assert torch.equal(tokens.residuals, wanted.residuals)
+    # Only how anchors mix them is new: nothing else would ever tell the two apart.
+    assert torch.equal(two.decoder.mixing.weight, before)
+    assert before.any()
+
+
+@pytest.mark.parametrize("levels", ["group", "anchor"])
+def test_one_level_begins_with_its_part_of_both(rng, levels):
+    tokenizer, whole = made()
+    part = SemanticModel(tokenizer, replace(CONFIG, levels=levels))
+    part.start_from(whole)
+    photos, features = inputs(rng, 2)
+    found, wanted = (model(tokenizer, photos, features)[1] for model in (part, whole))
+    assert torch.equal(found.shared, wanted.shared * (levels == "group"))
+    assert torch.equal(found.residuals, wanted.residuals * (levels == "anchor"))
+
+
+def test_other_sizes_do_not_begin():
+    tokenizer, one = made()
+    for sizes in (replace(CONFIG, residual_channels=3), replace(CONFIG, num_basis=2)):
+        other = SemanticModel(tokenizer, sizes)
+        with pytest.raises(ValueError, match=r"weights of sizes .* do not fit"):
+            one.start_from(other)
+
+
 def test_anchors_carry_their_semantic_tokens_through_windows(rng):
     tokenizer, model = made()
     photos, features = inputs(rng, 5)

@@ -74,6 +74,52 @@ def test_anchors_mix_the_shared_features_of_their_group():
     torch.testing.assert_close(normalize(found[:, 8, 12], dim=0), torch.tensor([0.0, 1, 0]))
 
 
+def test_two_shared_features_give_the_halves_of_one_group_exactly():
+    # Both anchors are of group 0: the left one has its first feature, the right one its second.
+    gaussians, camera, _ = two_walls()
+    assignment = torch.tensor([[[0.7, 0.2, 0.1], [0.6, 0.3, 0.1]]])
+    halves = torch.tensor([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
+    made = tokens(2)
+    made = replace(
+        made,
+        shared=torch.stack([halves, torch.ones(2, 3)])[None],
+        mixing=torch.tensor([[[1.0, 0], [0, 1]]]),
+    )
+    maps = render_semantics(gaussians, assignment, made, camera, SIDE, SIDE)
+    found = pixel_features(maps, made)[0, 0]
+    left = maps.shares[0, 0, 0, 0] > 0
+    right = maps.shares[0, 0, 0, 1] > 0
+    for half, only in ((0, left & ~right), (1, right & ~left)):
+        assert only.sum() >= 6 * SIDE
+        wanted = maps.shares[0, 0, 0, half, only] * halves[half][:, None]
+        assert torch.equal(found[:, only], wanted)
+    # Where both show, F is what Eq. 7 makes of their shares.
+    mixed = torch.einsum("khw,kd->dhw", maps.shares[0, 0, 0], halves)
+    torch.testing.assert_close(found, mixed)
+
+
+@pytest.mark.parametrize(("levels", "there"), [("group", "shared"), ("anchor", "residuals")])
+def test_one_level_alone_leaves_the_other_at_zero(rng, levels, there):
+    torch.manual_seed(0)
+    decoder = SemanticDecoder(16, replace(CONFIG, levels=levels), head_size=8)
+    semantic, groups = (torch.randn(1, count, 16, generator=rng) for count in (2, 2))
+    made = decoder(semantic, groups)
+    zero = {"shared", "residuals"} - {there}
+    assert vars(made)[there].all()
+    assert not vars(made)[zero.pop()].any()
+    gaussians, camera, assignment = two_walls()
+    maps = render_semantics(gaussians, assignment, made, camera, SIDE, SIDE)
+    lifted = pixel_features(maps, made)
+    teacher = torch.randn(1, 1, 3, SIDE, SIDE, generator=rng)
+    distillation_loss(lifted, maps.shares, made.shared, teacher).total.backward()
+    assert all(p.grad is not None and p.grad.any() for p in decoder.parameters())
+
+
+def test_anchors_alone_have_no_several_shared_features():
+    with pytest.raises(ValueError, match="num_basis is 2, but levels 'anchor' has no shared"):
+        SemanticTokensConfig(levels="anchor", num_basis=2)
+
+
 def test_a_constant_teacher_is_met_exactly():
     gaussians, camera, assignment = two_walls()
     constant = torch.tensor([0.6, 0.0, 0.8])
@@ -136,4 +182,4 @@ def test_scenes_without_groups_or_gaussians_have_no_features():
 @pytest.mark.parametrize("name", ["feature_channels", "residual_channels", "num_basis"])
 def test_a_size_of_nothing_is_named(name):
     with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
-        SemanticTokensConfig(**{name: 0})
+        SemanticTokensConfig(**{name: 0})  # pyright: ignore[reportArgumentType]

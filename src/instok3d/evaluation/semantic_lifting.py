@@ -167,7 +167,8 @@ def feature_maps(
         features = uplifted(gaussians, scene)
         return _rendered(gaussians, features, scene), features.numel()
     maps, tokens = _semantic_maps(scene), scene.tokens
-    shared, residuals = tokens.shared.numel(), tokens.residuals.numel()
+    residuals = tokens.residuals.numel()
+    shared = tokens.num_scalars - residuals
     if kind == PERFECT:
         tokens = _with_true_classes(scene, maps, phrases)
     elif kind == FITTED:
@@ -296,18 +297,23 @@ def _with_true_classes(
 def _fitted(scene: LiftedScene, maps: SemanticMaps) -> SemanticTokens:
     """Shared features that solve the second term of Eq. 8 in the context views; lengths stay.
 
-    `Lifting.fitted` does so with the objects of a scene.
+    `Lifting.fitted` does so with the objects of a scene; of several shared features, as there, the
+    mean is fitted and each differs from it as before.
     """
-    shares = maps.shares[0, : scene.num_context].sum(dim=2)
+    shares = maps.shares[0, : scene.num_context]
+    of_basis = shares.sum(dim=(0, 3, 4))
+    of_basis = of_basis / of_basis.sum(dim=1, keepdim=True).clamp_min(1e-9)
+    shares = shares.sum(dim=2)
     size = (shares.shape[-2], shares.shape[-1])
     seen = functional.interpolate(scene.encoder[: scene.num_context], size, mode="bilinear")
     mean = torch.einsum("vghw,vdhw->gd", shares, functional.normalize(seen, dim=1))
-    shared = scene.tokens.shared
-    lengths = shared.norm(dim=3, keepdim=True)
+    shared = scene.tokens.shared[0]
+    before = torch.einsum("gk,gkd->gd", of_basis, shared)
     shown = shares.sum(dim=(0, 2, 3)) > 0
-    fitted = functional.normalize(mean, dim=1)[None, :, None] * lengths
+    fitted = functional.normalize(mean, dim=1) * before.norm(dim=1, keepdim=True)
+    fitted = fitted[:, None] + (shared - before[:, None])
     return SemanticTokens(
-        torch.where(shown[None, :, None, None], fitted, shared), scene.tokens.residuals,
+        torch.where(shown[:, None, None], fitted, shared)[None], scene.tokens.residuals,
         scene.tokens.mixing, scene.tokens.residual_map,
     )  # fmt: skip
 

@@ -50,7 +50,7 @@ def entries_of(scene: Scene, encoder: str, place: object) -> SceneEntries:
         encoder: A name among them.
         place: Where it lies, for messages.
     """
-    features = scene.semantics[encoder].of_groups().numpy()
+    features = scene.semantics[encoder].of_groups(scene.tokens.assignment).numpy()
     shown = [item for item in scene.objects if not item.hidden]
     kept = [item for item in shown if features[item.id - 1].any()]
     if len(kept) < len(shown):

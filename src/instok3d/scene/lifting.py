@@ -69,8 +69,9 @@ class Lifting:
 
         The second term of Eq. 8, solved for one scene as `refine` does with Gaussians: s points to
         the mean direction of the encoder's features over the pixels where the object is seen. Its
-        length stays, and so does what residuals add. Objects that show fewer than MIN_PIXELS, and
-        groups with several shared features, keep what the model gave.
+        length stays, and so does what residuals add. Of several shared features the mean does, and
+        each differs from it as before: what tells parts apart is the model's. Objects that show
+        fewer than MIN_PIXELS keep what the model gave.
 
         Args:
             scene: With its objects.
@@ -78,8 +79,6 @@ class Lifting:
         """
         name = self.encoder.teacher.name
         one = scene.semantics[name]
-        if one.shared.shape[1] > 1:
-            return scene
         totals = one.shared.new_zeros(len(one.shared), features.shape[1])
         pixels = torch.zeros(len(one.shared))
         for view, each in enumerate(functional.normalize(features, dim=1)):
@@ -94,8 +93,10 @@ class Lifting:
             whole = functional.interpolate(each[None], tuple(seen.shape[1:]), mode="bilinear")[0]
             totals[rows] += seen.flatten(1) @ whole.flatten(1).T
             pixels[rows] += seen.sum(dim=(1, 2))
-        fit = functional.normalize(totals, dim=1) * one.shared[:, 0].norm(dim=1, keepdim=True)
-        shared = torch.where((pixels >= MIN_PIXELS)[:, None, None], fit[:, None], one.shared)
+        mean = one.of_groups(scene.tokens.assignment)
+        fit = functional.normalize(totals, dim=1) * mean.norm(dim=1, keepdim=True)
+        fit = fit[:, None] + (one.shared - mean[:, None])
+        shared = torch.where((pixels >= MIN_PIXELS)[:, None, None], fit, one.shared)
         better = replace(one, shared=shared.half().float())
         return replace(scene, semantics={**scene.semantics, name: better})
 
@@ -111,7 +112,7 @@ class Lifting:
             warnings.warn(f"objects have no names: {error}", stacklevel=2)
             return scene
         ids = [item.id for item in scene.objects]
-        vectors = scene.semantics[name].of_objects(ids)
+        vectors = scene.semantics[name].of_objects(ids, scene.tokens.assignment)
         labels = class_labels(vectors, vocabulary, self.encoder.calibration)
         return with_labels(scene, dict(zip(ids, labels, strict=True)), name)
 

@@ -133,7 +133,8 @@ class SceneQueries:
         self.scene, self._encoder = scene, encoder
         # Objects that are hidden are not there for questions, as they are not in pictures.
         self._objects = tuple(item for item in scene.objects if not item.hidden)
-        self._vectors = scene.semantics[name].of_objects([item.id for item in self._objects])
+        ids = [item.id for item in self._objects]
+        self._vectors = scene.semantics[name].of_objects(ids, scene.tokens.assignment)
 
     def candidates(self) -> Candidates:
         """The objects that are drawn, as questions look at them."""

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import torch
 from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn import functional
 
@@ -45,14 +46,28 @@ class SceneSemantics(Flow):
             self.shared[None], self.residuals[None], self.mixing[None], self.residual_map
         )
 
-    def of_groups(self) -> Float[Tensor, "group feature"]:
-        """One feature for each group: the mean of its shared ones."""
-        return self.shared.mean(dim=1)
+    def of_groups(
+        self, assignment: Float[Tensor, "anchor column"]
+    ) -> Float[Tensor, "group feature"]:
+        """One feature for each group: the mean of what its anchors have of its shared ones.
 
-    def of_objects(self, ids: Sequence[int]) -> Float[Tensor, "object feature"]:
+        Args:
+            assignment: pi of the scene, a column for each group and the void's last.
+        """
+        groups, basis = self.shared.shape[:2]
+        shares = self.shared.new_zeros(groups + 1, basis)
+        shares.index_add_(0, assignment.argmax(dim=1), self.mixing)
+        mass = shares[:groups].sum(dim=1, keepdim=True)
+        # A group without anchors has as much of each; with one shared feature a share is 1.
+        means = torch.where(mass > 0, shares[:groups] / mass, 1 / basis)
+        return torch.einsum("gk,gkd->gd", means, self.shared)
+
+    def of_objects(
+        self, ids: Sequence[int], assignment: Float[Tensor, "anchor column"]
+    ) -> Float[Tensor, "object feature"]:
         """A unit vector for each object; zeros for one of which nothing is known."""
         rows = torch.tensor([number - 1 for number in ids], dtype=torch.long)
-        return functional.normalize(self.of_groups()[rows], dim=1)
+        return functional.normalize(self.of_groups(assignment)[rows], dim=1)
 
 
 NO_SEMANTICS: Mapping[str, SceneSemantics] = MappingProxyType({})
@@ -159,18 +174,25 @@ def with_part(
 
 
 def merged(
-    semantics: Mapping[str, SceneSemantics], groups: Mapping[int, float]
+    semantics: Mapping[str, SceneSemantics],
+    groups: Mapping[int, float],
+    assignment: Float[Tensor, "anchor column"],
 ) -> Mapping[str, SceneSemantics]:
     """Semantics in which the first of some groups has the mean features of all of them.
+
+    Several shared features of a group have no order: those of the other groups are first put into
+    the one in which they are most alike the first group's, and what their anchors have of them too.
 
     Args:
         semantics: Of the scene.
         groups: Their weights. Groups of which nothing is known do not count.
+        assignment: pi of the scene, a column for each group and the void's last.
     """
     rows = torch.tensor([*groups])
     weights = torch.tensor([*groups.values()], dtype=torch.float32)
 
     def averaged(one: SceneSemantics) -> SceneSemantics:
+        one = _in_order_of_first(one, [*groups], assignment.argmax(dim=1))
         own = one.shared[rows]
         counted = weights * own.flatten(1).any(dim=1)
         mean = (counted[:, None, None] * own).sum(dim=0) / counted.sum().clamp_min(1e-9)
@@ -179,6 +201,22 @@ def merged(
         return replace(one, shared=shared)
 
     return each(semantics, averaged)
+
+
+def _in_order_of_first(
+    one: SceneSemantics, groups: Sequence[int], owners: Int[Tensor, " anchor"]
+) -> SceneSemantics:
+    """Shared features of groups in the order in which they are most alike the first group's."""
+    if one.shared.shape[1] == 1:
+        return one
+    shared, mixing = one.shared.clone(), one.mixing.clone()
+    directions = functional.normalize(one.shared[list(groups)], dim=2)
+    for group, own in zip(groups[1:], directions[1:], strict=True):
+        alike = directions[0] @ own.T
+        order = torch.from_numpy(linear_sum_assignment(alike.numpy(), maximize=True)[1])
+        shared[group] = one.shared[group, order]
+        mixing[owners == group] = one.mixing[owners == group][:, order]
+    return replace(one, shared=shared, mixing=mixing)
 
 
 def _nothing(like: SceneSemantics, num_anchors: int) -> SceneSemantics:

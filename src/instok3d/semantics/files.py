@@ -21,6 +21,8 @@ from instok3d.semantics.tokens import SemanticTokensConfig
 FORMAT = "instok3d-semantics-1"
 PREFIX = "semantic."
 """Of tensors and metadata, so that the encoder may lie in the same file."""
+ADDED_LATER = {"SemanticTokensConfig": {"levels": "group and anchor"}}
+"""Sizes that files of before lack, and what they were made with."""
 REMEDY = "train it again, or take the one that comes with instok3d"
 
 
@@ -97,7 +99,7 @@ def load_semantics(path: Path, tokenizer: Tokenizer) -> LoadedSemantics:
         raise ValueError(f"{path} belongs to another model than the one it is to serve; {REMEDY}")
     with naming_damage(path, REMEDY):
         sizes = config_of_json(
-            SemanticTokensConfig, parse_json(found["config"], "its sizes", ""), {}
+            SemanticTokensConfig, parse_json(found["config"], "its sizes", ""), ADDED_LATER
         )
         model = SemanticModel(tokenizer, sizes)
         weights = widened(stored)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
@@ -54,6 +55,27 @@ class SemanticModel(nn.Module):
         )  # fmt: skip
         sizes = tokenizer.config
         self.decoder = SemanticDecoder(sizes.width, config, head_size=sizes.head_size)
+
+    @torch.no_grad()
+    def start_from(self, other: "SemanticModel") -> None:
+        """Take the weights of a model of the same tokenizer; what that one lacks stays as it is.
+
+        Where this one has several shared features for each group, all begin as the other's one;
+        the mixing of anchors, which is new then, tells them apart.
+
+        Raises:
+            ValueError: It has other sizes, or several shared features and not as many.
+        """
+        own, theirs = self.decoder.config, other.decoder.config
+        alike = replace(theirs, num_basis=own.num_basis, levels=own.levels) == own
+        if not alike or theirs.num_basis not in (1, own.num_basis):
+            raise ValueError(f"weights of sizes {theirs} do not fit {own}: take the same sizes")
+        given = other.state_dict()
+        for name in ("decoder.shared.weight", "decoder.shared.bias"):
+            if name in given:
+                given[name] = torch.cat([given[name]] * (own.num_basis // theirs.num_basis))
+        state = self.state_dict()
+        self.load_state_dict(state | {name: given[name] for name in state if name in given})
 
     def forward(
         self,

@@ -1,6 +1,7 @@
 """Semantic tokens: a shared feature for each group, a short residual for each anchor (Eq. 7)."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -9,6 +10,9 @@ from torch import Tensor, nn
 from instok3d.model.transformer import Decoder
 from instok3d.render import render
 from instok3d.types import Cameras, Flow, Gaussians
+
+Levels = Literal["group and anchor", "group", "anchor"]
+"""Of the features that a scene has: the paper's two, or one alone (Table 4)."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +51,17 @@ class SemanticTokensConfig:
     """Hidden width of the semantic stream's MLPs over the tokens' width."""
     num_basis: int = 1
     """Shared features for each group; more than the paper's one can tell parts of a thing apart."""
+    levels: Levels = "group and anchor"
+    """Which level is there; the other one is zero. With anchors alone F = W_r R^, of rank d."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value < 1:
+            if name != "levels" and value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
+        if self.levels == "anchor" and self.num_basis > 1:
+            raise ValueError(
+                f"num_basis is {self.num_basis}, but levels 'anchor' has no shared feature: give 1"
+            )
 
 
 class SemanticDecoder(nn.Module):
@@ -63,13 +73,19 @@ class SemanticDecoder(nn.Module):
     def __init__(self, width: int, config: SemanticTokensConfig, *, head_size: int = 64):
         super().__init__()
         self.config = config
-        self.query = nn.Linear(width, width)
-        self.decoder = Decoder(
-            width, config.group_layers, self_attention=False, head_size=head_size
-        )
-        self.shared = nn.Linear(width, config.num_basis * config.feature_channels)
-        self.residual = nn.Linear(width, config.residual_channels)
-        self.residual_map = nn.Linear(config.residual_channels, config.feature_channels, bias=False)
+        self.groups = config.levels != "anchor"
+        self.anchors = config.levels != "group"
+        if self.groups:
+            self.query = nn.Linear(width, width)
+            self.decoder = Decoder(
+                width, config.group_layers, self_attention=False, head_size=head_size
+            )
+            self.shared = nn.Linear(width, config.num_basis * config.feature_channels)
+        if self.anchors:
+            self.residual = nn.Linear(width, config.residual_channels)
+            self.residual_map = nn.Linear(
+                config.residual_channels, config.feature_channels, bias=False
+            )
         self.mixing = nn.Linear(width, config.num_basis) if config.num_basis > 1 else None
 
     def forward(
@@ -77,21 +93,26 @@ class SemanticDecoder(nn.Module):
         semantic: Float[Tensor, "batch anchor channel"],
         groups: Float[Tensor, "batch group channel"],
     ) -> SemanticTokens:
-        """The semantic tokens of scenes.
+        """The semantic tokens of scenes; zeros at a level that is not there.
 
         Args:
             semantic: Anchor semantic tokens.
             groups: G, detached here.
         """
-        decoded = self.decoder(self.query(groups.detach()), semantic)
-        shared = self.shared(decoded).unflatten(-1, (self.config.num_basis, -1))
+        sizes = self.config
+        shared = semantic.new_zeros(*groups.shape[:2], sizes.num_basis, sizes.feature_channels)
+        if self.groups:
+            decoded = self.decoder(self.query(groups.detach()), semantic)
+            shared = self.shared(decoded).unflatten(-1, (sizes.num_basis, -1))
+        residuals = semantic.new_zeros(*semantic.shape[:2], sizes.residual_channels)
+        residual_map = semantic.new_zeros(sizes.feature_channels, sizes.residual_channels)
+        if self.anchors:
+            residuals, residual_map = self.residual(semantic), self.residual_map.weight
         if self.mixing is None:
             mixing = semantic.new_ones(*semantic.shape[:2], 1)
         else:
             mixing = self.mixing(semantic).float().softmax(dim=-1)
-        return SemanticTokens(
-            shared.float(), self.residual(semantic).float(), mixing, self.residual_map.weight
-        )
+        return SemanticTokens(shared.float(), residuals.float(), mixing, residual_map)
 
 
 @dataclass(frozen=True)

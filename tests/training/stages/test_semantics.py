@@ -139,7 +139,8 @@ def test_an_exported_file_serves_its_tokenizer_alone(
     loaded = load_semantics(file, model.tokenizer)
     assert loaded.encoder == "true-words"
     no_folder = f"words:{Path(tiny.teacher).name}"
-    wanted = {"steps": 3, "config": {"seed": 5, "stage": {"teacher": no_folder, "know": 1}}}
+    stage = {"teacher": no_folder, "know": 1, "start_from": ""}
+    wanted = {"steps": 3, "config": {"seed": 5, "stage": stage}}
     assert loaded.card == wanted
     photos = photos_only(sample.context)
     features = torch.randn(2, 2, 16, 16, 16, generator=torch.Generator().manual_seed(1))
@@ -156,6 +157,26 @@ def test_an_exported_file_serves_its_tokenizer_alone(
         load_semantics(file, other)
     halved = model.tokenizer.half().float()
     assert tokenizer_digest(halved) == tokenizer_digest(model.tokenizer)
+
+
+def test_a_run_begins_with_a_file_of_semantics(
+    tiny: SemanticsStageConfig, model: SemanticRun, tmp_path: Path
+):
+    file = tmp_path / "semantics.safetensors"
+    digest = tokenizer_digest(model.tokenizer)
+    save_semantics(model.semantic, file, encoder="made", tokenizer_sha256=digest, card={},
+                   half=False)  # fmt: skip
+    begun = replace(tiny, start_from=str(file), tokens=replace(tiny.tokens, num_basis=2)).build()
+    torch.manual_seed(7)
+    run = begun.build_model()
+    begun.load_initial(run, model.tokenizer.state_dict())
+    rows = model.semantic.decoder.shared.weight
+    assert torch.equal(run.semantic.decoder.shared.weight, torch.cat([rows, rows]))
+    with pytest.raises(ValueError, match="give one of them, or a tokenizer to --init-from"):
+        begun.load_initial(run, run.state_dict())
+    missing = replace(tiny, start_from=str(tmp_path / "none")).build()
+    with pytest.raises(FileNotFoundError, match="there are no semantics"):
+        missing.load_initial(missing.build_model(), model.tokenizer.state_dict())
 
 
 def test_the_encoder_of_rooms_goes_along(
@@ -196,8 +217,19 @@ def test_damaged_semantics_are_named(model: SemanticRun, tmp_path: Path):
         "is not finite": (weights | {first: weights[first] / 0}, {}),
         "holds no semantics of format": (weights, {"semantic.format": "other"}),
         "is damaged": (weights, {"semantic.config": "{"}),
+        "its levels of SemanticTokensConfig": (
+            weights,
+            {"semantic.config": metadata["semantic.config"].replace("group and", "no")},
+        ),
         "sizes that this version does not know": (weights, {"semantic.config": '{"size": 1}'}),
     }
+    # Files of before the levels were there have both.
+    before = metadata["semantic.config"].replace(', "levels": "group and anchor"', "")
+    assert before != metadata["semantic.config"]
+    save_file(weights, file, metadata | {"semantic.config": before})
+    assert (
+        load_semantics(file, model.tokenizer).model.decoder.config == model.semantic.decoder.config
+    )
     for message, (changed, more) in damage.items():
         save_file(changed, file, metadata | more)
         with pytest.raises(ValueError, match=message):

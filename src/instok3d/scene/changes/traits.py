@@ -83,7 +83,10 @@ def traits_of(scene: SceneRecord) -> Traits:
         centers=_rows([item.centroid for item in drawn]),
         extents=_rows([sorted(item.obb.size, reverse=True) for item in drawn]).clamp_min(1e-9),
         colors=colors,
-        embeddings={name: one.of_objects(ids).double() for name, one in scene.semantics.items()},
+        embeddings={
+            name: one.of_objects(ids, scene.tokens.assignment).double()
+            for name, one in scene.semantics.items()
+        },
         points=gaussians.means[index].double(),
         point_colors=hues[index],
         owners=torch.tensor(owners, dtype=torch.long),

@@ -212,7 +212,9 @@ class Merge:
         weights = [each.num_gaussians for each in (target, *others)]
         sums = [n * each.confidence for n, each in zip(weights, (target, *others), strict=True)]
         shares = {each.id - 1: float(each.num_gaussians) for each in (target, *others)}
-        scene = replace(scene, semantics=merged_semantics(scene.semantics, shares))
+        scene = replace(
+            scene, semantics=merged_semantics(scene.semantics, shares, scene.tokens.assignment)
+        )
         merged = given_to(scene, chosen, replace(target, confidence=sum(sums) / sum(weights)))
         pi = merged.tokens.assignment.clone()
         rows = pi.argmax(dim=1) == target.id - 1

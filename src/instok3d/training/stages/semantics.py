@@ -25,7 +25,7 @@ from instok3d.geometry.camera_alignment import TargetCameras
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.objectives.distillation import DistillationLoss, distillation_loss
 from instok3d.pictures import color_picture, contact_sheet, titled_rows
-from instok3d.semantics.files import save_semantics, tokenizer_digest
+from instok3d.semantics.files import load_semantics, save_semantics, tokenizer_digest
 from instok3d.semantics.model import SemanticModel
 from instok3d.semantics.targets import target_map
 from instok3d.semantics.teachers.file import teacher_tensors
@@ -106,6 +106,9 @@ class SemanticsStageConfig(StageConfig):
     teacher: str = ""
     """The 2D encoder with its weights, such as lseg:FILE (`semantics.teachers.opening`); or
     words:TABLE, the true words of rooms in the space of a text table, as a perfect encoder."""
+    start_from: str = ""
+    """A file of semantics of the tokenizer (`train export`) to begin with, such as the shipped one;
+    a run with more shared features, or with one level alone, takes the weights that fit it."""
     know_intrinsics: bool = False
     """Whether the tokenizer sees the intrinsics of the photos, as the paper's does."""
     target_cameras: TargetCameras = "aligned"
@@ -158,7 +161,8 @@ class SemanticsStageConfig(StageConfig):
         if config is None:
             return run.card
         kind, _, place = self.teacher.partition(":")
-        stage = {**config["stage"], "teacher": f"{kind}:{Path(place).name}"}
+        named = {"teacher": f"{kind}:{Path(place).name}", "start_from": Path(self.start_from).name}
+        stage = {**config["stage"], **named}
         return {**run.card, "config": {**config, "stage": stage}}
 
 
@@ -227,10 +231,25 @@ class SemanticsStage:
         return self.config.new_model()
 
     def load_initial(self, model: nn.Module, weights: Mapping[str, Tensor]) -> None:
-        """The weights of a tokenizer, or all of a semantics run."""
+        """The weights of a tokenizer, or all of a semantics run.
+
+        Raises:
+            FileNotFoundError: There is no file `start_from`.
+            ValueError: That file is not of this tokenizer or of other sizes, or the weights are
+                those of a run, which has begun already.
+        """
         assert isinstance(model, SemanticRun)
         whole = any(name.startswith("semantic.") for name in weights)
         (model if whole else model.tokenizer).load_state_dict(dict(weights))
+        if not self.config.start_from:
+            return
+        if whole:
+            raise ValueError(
+                f"stage.start_from is {self.config.start_from}, but --init-from is a semantics run "
+                "that brings its own weights: give one of them, or a tokenizer to --init-from"
+            )
+        begun = load_semantics(Path(self.config.start_from), model.tokenizer)
+        model.semantic.start_from(begun.model)
 
     def loss(self, model: nn.Module, sample: Sample, step: int) -> StepLoss:
         """Both terms of Eq. 8 on the target views."""
