@@ -97,28 +97,37 @@ def test_an_outcome_by_hand():
     question = RoomQuestion("class", "chair", frozenset({1}), frozenset({2}))
     # Likeliest first: of thing 2, spared; of none; of thing 1.
     found = outcome(question, torch.tensor([0.5, 0.9, 0.7]), (1, 2, -1))
-    assert (found.kind, found.first, found.third) == ("class", False, True)
+    assert (found.kind, found.first, found.third, found.shown) == ("class", False, True, True)
     assert found.best == pytest.approx(0.7)
-    assert outcome(question, torch.zeros(0), ()) == Outcome("class", 0.0, False, False)
+    assert outcome(question, torch.zeros(0), ()) == Outcome("class", 0.0, False, False, False)
+    # The fourth of the likeliest is there, but not among the first three.
+    late = outcome(question, torch.tensor([0.9, 0.8, 0.7, 0.6]), (3, 4, 5, 1))
+    assert (late.first, late.third, late.shown) == (False, False, True)
 
 
 def test_figures_by_hand():
     outcomes = [
-        Outcome("class", 0.9, True, True),
-        Outcome("class", 0.4, False, True),
-        Outcome("synonym", 0.2, False, False),
-        Outcome("absent", 0.5, False, False),
-        Outcome("absent", 0.1, False, False),
+        Outcome("class", 0.9, True, True, True),
+        Outcome("class", 0.4, False, True, True),
+        Outcome("synonym", 0.2, False, False, False),
+        Outcome("absent", 0.5, False, False, False),
+        Outcome("absent", 0.3, False, False, False),
+        Outcome("absent", 0.1, False, False, False),
     ]
     found = figures(outcomes, 0.4)
     assert found.top_1 == {"class": 0.5, "synonym": 0.0}
     assert found.top_3 == {"class": 1.0, "synonym": 0.0}
-    assert found.false_alarms == 0.5
+    assert found.false_alarms == pytest.approx(1 / 3)
+    # Both classes pass 0.4; all three questions pass 0.2.
+    assert found.alarms_of_classes == pytest.approx(1 / 3)
+    assert found.alarms_of_all == pytest.approx(2 / 3)
+    assert found.shown == pytest.approx(2 / 3)
     assert found.passed == pytest.approx(2 / 3)
     # 90 % of three questions are all three.
     assert figures(outcomes).threshold == pytest.approx(0.2)
     text = table({"words": found})
     assert "| words | 0.500 / 1.000 | 0.000 / 0.000 | - |" in text
+    assert "| 0.333 | 0.667 | 0.333 | 0.667 | 0.667 |" in text
     assert text.splitlines()[-1].startswith("| questions | 2 | 1 | 0 |")
     with pytest.raises(ValueError, match="no question"):
         figures([])

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from instok3d.data.words import ObjectWords
 from instok3d.rooms.classes import CLASSES, STUFF
-from instok3d.semantics.query.calibration import passing_threshold
+from instok3d.semantics.query.calibration import TRUE_SHARE, passing_threshold
 from instok3d.semantics.query.relations import UprightBoxes, gaps
 
 Kind = Literal["class", "synonym", "colour + class", "two colours", "place", "size", "absent"]
@@ -205,6 +205,8 @@ class Outcome:
     """Whether that is meant."""
     third: bool
     """Whether one of the three likeliest is meant."""
+    shown: bool
+    """Whether any object is meant at all: if none is, no reading of the question can be right."""
 
 
 def outcome(
@@ -219,9 +221,9 @@ def outcome(
     """
     order = probabilities.argsort(descending=True, stable=True).tolist()
     kept = [row for row in order if thing_of[row] not in question.spared]
-    right = [thing_of[row] in question.meant for row in kept[:3]]
+    right = [thing_of[row] in question.meant for row in kept]
     best = float(probabilities[kept[0]]) if kept else 0.0
-    return Outcome(question.kind, best, right[:1] == [True], any(right))
+    return Outcome(question.kind, best, right[:1] == [True], any(right[:3]), any(right))
 
 
 @dataclass(frozen=True)
@@ -238,6 +240,14 @@ class QueryFigures:
     """Share of the questions after what is there whose likeliest object passes it."""
     false_alarms: float
     """Share of the questions after absent classes whose likeliest object passes it."""
+    shown: float
+    """Share of the questions after what is there of which some object is: the most that could be
+    answered right."""
+    alarms_of_classes: float
+    """False alarms with the threshold that TRUE_SHARE of these class questions pass."""
+    alarms_of_all: float
+    """Likewise of all questions after what is there, which the other kinds make harder: synonyms
+    are less alike, and places and colours multiply probabilities."""
 
 
 def figures(outcomes: Sequence[Outcome], threshold: float | None = None) -> QueryFigures:
@@ -252,27 +262,45 @@ def figures(outcomes: Sequence[Outcome], threshold: float | None = None) -> Quer
         ValueError: There is no question.
     """
     of = {kind: [each for each in outcomes if each.kind == kind] for kind in KINDS}
-    there = torch.tensor([each.best for each in outcomes if each.kind != "absent"])
+    known = [each for each in outcomes if each.kind != "absent"]
+    there = torch.tensor([each.best for each in known])
     limit = passing_threshold(there) if threshold is None else threshold
     asked = {kind: found for kind, found in of.items() if found}
     present = {kind: found for kind, found in asked.items() if kind != "absent"}
-    absent = [each.best >= limit for each in of["absent"]]
+    absent = torch.tensor([each.best for each in of["absent"]])
+
+    def alarms(least: float) -> float:
+        return float((absent >= least).float().mean()) if len(absent) else 0.0
+
+    def alarms_at_share(kept: Sequence[Outcome]) -> float:
+        best = torch.tensor([each.best for each in kept])
+        return alarms(passing_threshold(best)) if len(best) else 0.0
+
     return QueryFigures(
         {kind: len(found) for kind, found in asked.items()},
         {kind: sum(each.first for each in found) / len(found) for kind, found in present.items()},
         {kind: sum(each.third for each in found) / len(found) for kind, found in present.items()},
         limit,
         float((there >= limit).float().mean()) if len(there) else 0.0,
-        sum(absent) / len(absent) if absent else 0.0,
+        alarms(limit),
+        sum(each.shown for each in known) / len(known) if known else 0.0,
+        alarms_at_share(of["class"]),
+        alarms_at_share(known),
     )  # fmt: skip
 
 
 def table(rows: Mapping[str, QueryFigures]) -> str:
-    """Rows by their names as Markdown: top 1 / top 3 by kind, and absent ones that were found."""
+    """Rows by their names as Markdown.
+
+    Top 1 / top 3 by kind; what is found of absent and of present things with the threshold of the
+    calibration; of absent ones with the thresholds that 90 % of the classes, and of all questions
+    after what is there, pass; and of how many some object is there.
+    """
     kinds = [kind for kind in KINDS if kind != "absent"]
     lines = [
-        "| answers by | " + " | ".join(kinds) + " | absent, found | present, found |",
-        "|" + "---|" * (len(kinds) + 3),
+        "| answers by | " + " | ".join(kinds) + " | absent, found | present, found "
+        f"| absent at {TRUE_SHARE:.0%} of classes | at {TRUE_SHARE:.0%} of all | object is there |",
+        "|" + "---|" * (len(kinds) + 6),
     ]
     for name, row in rows.items():
         cells = [
@@ -280,10 +308,11 @@ def table(rows: Mapping[str, QueryFigures]) -> str:
             for kind in kinds
         ]
         lines.append(
-            f"| {name} | {' | '.join(cells)} | {row.false_alarms:.3f} | {row.passed:.3f} |"
+            f"| {name} | {' | '.join(cells)} | {row.false_alarms:.3f} | {row.passed:.3f} "
+            f"| {row.alarms_of_classes:.3f} | {row.alarms_of_all:.3f} | {row.shown:.3f} |"
         )
     first = next(iter(rows.values()), None)
     counts = {} if first is None else first.counts
     lines.append("| questions | " + " | ".join(str(counts.get(kind, 0)) for kind in kinds)
-                 + f" | {counts.get('absent', 0)} | |")  # fmt: skip
+                 + f" | {counts.get('absent', 0)} | | | | |")  # fmt: skip
     return "\n".join(lines)
