@@ -14,7 +14,13 @@ def test_the_hash_follows_the_code_that_matters_and_no_other(tmp_path):
     first = hashes()
     (tmp_path / "model" / "notes.md").write_text("text")
     (tmp_path / "cli.py").write_text("other")
+    (tmp_path / "tables").mkdir()
+    (tmp_path / "tables" / "filled.py").write_text("other")
     assert hashes() == first
+    (tmp_path / "tables" / "measuring.py").write_text("how")
+    assert hashes()[0] == first[0]
+    assert hashes()[1] != first[1]
+    first = hashes()
     (tmp_path / "evaluation" / "b.py").write_text("two")
     assert hashes()[0] == first[0]
     assert hashes()[1] != first[1]

@@ -8,10 +8,12 @@ from typing import Literal
 PACKAGE = Path(__file__).resolve().parents[1]
 
 TRAINING = ("types.py", "geometry", "render", "data", "rooms", "datasets", "backbones", "model",
-            "semantics", "objectives", "baselines", "training")  # fmt: skip
+            "semantics", "objectives", "baselines", "training", "tables/trained.py",
+            "tables/trainings.py", "tables/work.py")  # fmt: skip
 """What a trained model depends on."""
-MEASURING = (*TRAINING, "photos", "refinement", "scene", "evaluation")
-"""What a figure depends on."""
+MEASURING = (*TRAINING, "photos", "refinement", "scene", "evaluation", "tables/cells.py",
+             "tables/features.py", "tables/measuring.py", "tables/scene_sets.py")  # fmt: skip
+"""What a figure depends on. The other files of tables/ plan, name rows and write figures down."""
 SOURCES = (".py", ".cpp", ".hpp", ".h")
 
 
