@@ -26,6 +26,19 @@ Segment = Callable[[Float[Tensor, "view 3 height width"]], Int[Tensor, "view hei
 MasksOf = Callable[[Sample], Int[Tensor, "view height width"]]
 
 
+RULE: dict[MaskSource, Tracker] = {
+    "true": "true-ids",
+    "degraded": "true-depth",
+    "segmenter": "predicted-depth",
+}
+"""The tracker of masks where none is named."""
+
+
+def tracker_for(source: MaskSource, asked: Tracker | None) -> Tracker:
+    """The tracker of a row of a table: the one that was asked for; true masks keep their ids."""
+    return RULE[source] if asked is None or source == "true" else asked
+
+
 def check_masks(source: MaskSource, tracker: Tracker) -> None:
     """Refuse what has no meaning.
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from instok3d.baselines.context_masks import MasksOf, MaskSource, Tracker, context_masks
+from instok3d.baselines.context_masks import RULE, MasksOf, MaskSource, Tracker, context_masks
 from instok3d.baselines.feature_files import FeatureMethodName, load_feature_model
 from instok3d.baselines.feature_method import FeatureMethod
 from instok3d.baselines.registry import METHODS, MethodName
@@ -37,14 +37,6 @@ def measured_model(model: Path | None) -> Measured:
     tokenizer = load_model(model)
     seed = read_card(model).get("config", {}).get("seed")
     return Measured(tokenizer, f"{file.name} sha256:{sha256_of(file)[:12]}", seed)
-
-
-RULE: dict[MaskSource, Tracker] = {
-    "true": "true-ids",
-    "degraded": "true-depth",
-    "segmenter": "predicted-depth",
-}
-"""The tracker of masks where none is named."""
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,15 @@ def run(
     quick: bool = False,
     resume: bool = False,
     dry_run: bool = False,
-    built_only: bool = False,
     steps: int | None = None,
     seed: int = 0,
     scenes: int | None = None,
-    masks: tuple[Literal["true", "degraded"], ...] = ("true", "degraded"),
-    tracker: Literal["true-depth", "predicted-depth", "flow2d", "none"] = "true-depth",
+    masks: tuple[Literal["segmenter", "degraded", "true"], ...] = ("segmenter", "degraded", "true"),
+    tracker: Literal["true-depth", "predicted-depth", "flow2d", "none"] | None = None,
     method_steps: int | None = None,
     model: str | None = None,
     semantics: Path | None = None,
+    segmenter: Path | None = None,
     backbone: Path | None = None,
     teacher: str | None = None,
     lpips: str | None = None,
@@ -49,16 +49,18 @@ def run(
         quick: Toy sizes and two scenes: shows that all parts fit together, and nothing else.
         resume: Go on in a folder that holds tables.
         dry_run: Print what would be trained and measured, and the hours; write nothing.
-        built_only: Leave out the rows whose method does not exist yet; the tables name them.
-        steps: Updates of each training, 3000 by default; halves of one have half of them.
+        steps: Updates of the tokenizer's training, 3000 by default; other trainings have as many as
+            fit in its time.
         seed: Of the trainings.
         scenes: Measure the first so many of each set of rooms alone.
-        masks: That the methods of Table 2 are given, a row for each.
-        tracker: How ids of degraded masks come to hold across views (docs/evaluation.md).
+        masks: That the methods of Table 2 are given, a row for each (docs/evaluation.md).
+        tracker: How ids of masks that are not true come to hold across views. By default
+            predicted-depth for those of the segmenter, true-depth for degraded ones.
         method_steps: Of the methods that optimise each scene; their own by default.
         model: Measure this model's file, or "default", as ours in Tables 1, 2, 4 and 6 instead of
             one that is trained here by the same steps as its rivals.
         semantics: Of that model; those of the default model come with it, others are trained.
+        segmenter: Take the masks of this segmenter's file instead of training one.
         backbone: A run or file whose backbone all trainings begin with; the default model's.
         teacher: 2D encoder whose features are lifted, such as lseg:FILE; the one that comes with
             instok3d by default.
@@ -78,7 +80,7 @@ def run(
         raise ValueError("--semantics is of a given model: name it with --model")
     work = _work(
         data, output, captures, quick, steps, seed, scenes, method_steps, model, semantics,
-        backbone, teacher, lpips, threads,
+        segmenter, backbone, teacher, lpips, threads,
     )  # fmt: skip
     known = tables(masks, tracker)
     asked = [known[n] for n in known if "all" in numbers or str(n) in numbers]
@@ -87,7 +89,7 @@ def run(
     if dry_run:
         print(plan_text(make_plan(work, asked)))
         return
-    for path in make_tables(work, asked, resume=resume, built_only=built_only):
+    for path in make_tables(work, asked, resume=resume):
         print(path)
 
 
@@ -102,6 +104,7 @@ def _work(
     method_steps: int | None,
     model: str | None,
     semantics: Path | None,
+    segmenter: Path | None,
     backbone: Path | None,
     teacher: str | None,
     lpips: str | None,
@@ -111,6 +114,7 @@ def _work(
     from instok3d.model.files import DEFAULT_MODEL
     from instok3d.objectives.lpips import load_lpips
     from instok3d.semantics.query.shipped import SHIPPED
+    from instok3d.semantics.teachers.opening import open_teacher
     from instok3d.tables.trainings import QUICK_STEPS, Schedule
     from instok3d.tables.work import Work
 
@@ -124,6 +128,7 @@ def _work(
             seed=seed,
             quick=quick,
             teacher=teacher or f"rooms:{SHIPPED}",
+            channels=Schedule.channels if teacher is None else open_teacher(teacher).channels,
             threads=threads,
         ),
         num_scenes=scenes,
@@ -131,6 +136,7 @@ def _work(
         backbone=backbone or DEFAULT_MODEL,
         model=None if model is None else DEFAULT_MODEL if is_default else Path(model),
         semantics=SHIPPED if is_default and semantics is None else semantics,
+        segmenter=segmenter,
         method_steps=method_steps,
         lpips=None if lpips is None else load_lpips(lpips),
         command=" ".join(["instok3d", *sys.argv[1:]]),

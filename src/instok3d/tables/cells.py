@@ -1,6 +1,6 @@
 """Cells: what was measured of one method on one set of scenes, and how; a file each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
 from pathlib import Path
@@ -9,10 +9,10 @@ from typing import Any
 from instok3d.files import write_json
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.code_version import code_hash
-from instok3d.tables.definitions import PerScene, Row, Table, Tokenizer, Views
+from instok3d.tables.definitions import OnePass, PerScene, Row, Table, Tokenizer, Views
 from instok3d.tables.scene_sets import digest
 from instok3d.tables.trained import trained_model
-from instok3d.tables.trainings import OURS, SEMANTICS
+from instok3d.tables.trainings import OURS, SEGMENTER, SEMANTICS
 from instok3d.tables.work import Work, key_of
 
 
@@ -27,8 +27,8 @@ class Cell:
     scenes: int
     scenes_sha256: str
     """Of the list of scenes (`scene_sets.digest`)."""
-    weights_sha256: str | None
-    """Of the model; None for a method that has none."""
+    weights_sha256: Sequence[str]
+    """Of the models that it takes (`Asked.trainings`)."""
     command: str
     """That measured it."""
     commit: str
@@ -37,6 +37,7 @@ class Cell:
     hours: float
     """Of measuring."""
     training_hours: float | None
+    """Of all these models; None where nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +50,27 @@ class Asked:
     """'views' or 'features'."""
 
     @property
-    def training(self) -> str | None:
-        """Whose model it needs first."""
-        if self.of == "features":
-            return OURS
+    def method(self) -> Tokenizer | PerScene | OnePass | None:
+        """What is measured; None for all features that are lifted into the scenes of OURS."""
         method = self.row.method
-        if isinstance(method, Tokenizer):
-            return method.training
-        needs_model = isinstance(method, PerScene) and method.tracker == "predicted-depth"
-        return OURS if needs_model else None
+        return method if self.of == "views" or isinstance(method, OnePass) else None
+
+    @property
+    def trainings(self) -> tuple[str, ...]:
+        """Whose models it needs, that of the method first."""
+        method = self.method
+        if method is None:
+            return (OURS, SEMANTICS)
+        if isinstance(method, Tokenizer | OnePass):
+            return (method.training,)
+        geometry = (OURS,) if method.tracker == "predicted-depth" else ()
+        return (*geometry, SEGMENTER) if method.masks == "segmenter" else geometry
 
 
 def asked_of(table: Table) -> list[tuple[Row, list[Asked]]]:
-    """The cells of each row that can be measured, in the order of the table."""
+    """The cells of each row, in the order of the table."""
     found = []
     for row in table.rows:
-        if row.not_built:
-            continue
         parts = [("views", row.method), ("features", row.features)]
         found.append((row, [Asked(row, table.views, of) for of, what in parts if what is not None]))
     return found
@@ -77,10 +82,9 @@ def cell_path(work: Work, asked: Asked) -> Path:
     All kinds of features of a set of scenes are one cell, which Tables 1 and 4 share.
     """
     scenes = work.scenes(asked.row.scenes, asked.views)
-    names = ([asked.training] if asked.training else []) + [SEMANTICS] * (asked.of == "features")
-    weights = [_sha_of(work, name) for name in names]
-    method = "features" if asked.of == "features" else asdict_of(asked.row.method)
-    steps = work.method_steps if isinstance(asked.row.method, PerScene) else None
+    weights = [trained_model(work, name).sha256 for name in asked.trainings]
+    method = "features" if asked.method is None else asdict_of(asked.method)
+    steps = work.method_steps if isinstance(asked.method, PerScene) else None
     key = key_of(
         method=method, weights=weights, scenes=digest(scenes.names), steps=steps,
         views=asked.views, quick=work.schedule.quick, code=code_hash("measuring"),
@@ -89,14 +93,10 @@ def cell_path(work: Work, asked: Asked) -> Path:
     return work.folder / "cells" / f"{asked.of}-{key}.json"
 
 
-def _sha_of(work: Work, name: str) -> str:
-    return trained_model(work, name).sha256
-
-
 def asdict_of(method: Any) -> dict[str, Any]:
     """A method as JSON, without the name of its training: its weights say which model it is."""
     return {"type": type(method).__name__, **asdict(method)} | (
-        {"training": None} if isinstance(method, Tokenizer) else {}
+        {"training": None} if isinstance(method, Tokenizer | OnePass) else {}
     )
 
 

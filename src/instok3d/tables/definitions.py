@@ -2,21 +2,30 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
-from instok3d.baselines.context_masks import MaskSource, Tracker
+from instok3d.baselines.context_masks import MaskSource, Tracker, tracker_for
 from instok3d.baselines.registry import MethodName
 from instok3d.evaluation.semantic_lifting import ANCHOR, BOTH, ENCODER, GAUSSIANS, GROUP, PIXELS
 from instok3d.evaluation.tokenizer_method import GeometryMode
-from instok3d.tables.trainings import BROKEN, JOINT, NO_WARMUP, OURS, SEQUENTIAL
+from instok3d.tables.trainings import (
+    BROKEN,
+    C3G,
+    JOINT,
+    LSM,
+    NO_WARMUP,
+    OURS,
+    SEQUENTIAL,
+    UNI3R,
+)
 
 Views = Literal[2, 8]
 SceneKind = Literal["test", "held-out furniture", "held-out materials", "held-out room type",
                     "captures"]  # fmt: skip
 """Test rooms; transfer rooms by what of them no training room has; captures of real rooms."""
-ROOM_KINDS: tuple[SceneKind, ...] = (
-    "test", "held-out furniture", "held-out materials", "held-out room type"
-)  # fmt: skip
+SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
+OWN = "own features"
+"""Those that a model of one pass gives its Gaussians, in the place of a kind that is lifted."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,13 @@ class PerScene:
 
 
 @dataclass(frozen=True)
+class OnePass:
+    """A model of one pass that gives each Gaussian a feature and knows no instances."""
+
+    training: str
+
+
+@dataclass(frozen=True)
 class Column:
     """A figure of the cells."""
 
@@ -56,10 +72,11 @@ class Row:
     """A method in a table."""
 
     label: str
-    method: Tokenizer | PerScene | None = None
+    method: Tokenizer | PerScene | OnePass | None = None
     """Whose pictures and masks are measured; None where the row has none by its nature."""
     features: str | None = None
-    """One of `semantic_lifting.KINDS`, lifted into the scenes of OURS; None for a row without."""
+    """One of `semantic_lifting.KINDS`, lifted into the scenes of OURS; OWN of a model that has
+    features; None for a row without."""
     scenes: SceneKind = "test"
     short: str = ""
     """Over its column of a figure; empty where the label is short enough."""
@@ -67,8 +84,8 @@ class Row:
     """First column of Table 2."""
     without: frozenset[str] = frozenset()
     """Columns that the method cannot have; any other figure that is missing is an error."""
-    not_built: str = ""
-    """Why there is no such method yet; such a row is named and never measured."""
+    pictured: bool = True
+    """Whether the figures have a column of it, as the paper's have of such a row."""
     upper_bound: bool = False
     """Given more than a photo: not compared with the others for what is best."""
 
@@ -93,24 +110,24 @@ NO_MASKS = frozenset(column.key for column in MASKS)
 NO_LPIPS = "lpips"
 """The column that is left out where no weights of LPIPS are given."""
 
-_LATER = "the tables do not train it yet (instok3d train nano-uni3r-style and nano-c3g-style do)"
-_SEGMENTER = "the tables do not train a segmenter yet (instok3d train nano-segmenter does)"
-LSM, UNI3R, C3G = "LSM style", "Uni3R style", "C3G style"
+REFINED_STEPS = 100
+"""As `reconstruct` does by default."""
 
 _PER_SCENE: tuple[tuple[str, str, MethodName, str], ...] = (
-    ("Gaussian Grouping", "GG", "gaussian-grouping", "per-scene optimization"),
+    ("Gaussian Grouping", "Gaussian Grouping", "gaussian-grouping", "per-scene optimization"),
     ("ObjectGS", "ObjectGS", "objectgs", "per-scene optimization"),
-    ("mask-regularised 3DGS + label lifting", "lifting", "label-lifting",
+    ("mask-regularised 3DGS + label lifting", "label lifting", "label-lifting",
      "feed-forward + optimization"),
 )  # fmt: skip
 
 
-def tables(masks: Sequence[MaskSource], tracker: Tracker) -> dict[int, Table]:
+def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[int, Table]:
     """All six tables.
 
     Args:
         masks: That methods are given in Table 2, a row for each.
-        tracker: How ids of masks that are not true come to hold across views.
+        tracker: How ids of masks that are not true come to hold across views; None is the rule
+            for each source (`context_masks.tracker_for`).
     """
     joint = Tokenizer(JOINT)
     ours = Tokenizer(OURS)
@@ -119,39 +136,39 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker) -> dict[int, Table]:
         Column("semantic_units", "sem. units", 0, ""),
         Column("stored", "feature size", 0, ""),
     )
-    per_scene = tuple(
-        Row(
-            f"{label}, masks {source}" + ("" if source == "true" else f", tracker {tracker}"),
-            PerScene(name, source, "true-ids" if source == "true" else tracker),
-            short=f"{brief}, {source}",
-            kind=kind,
-            upper_bound=source == "true",
-        )
+    per_scene = [
+        _given_masks(source, tracker_for(source, tracker), *method, pictured=source == masks[0])
         for source in masks
-        for label, brief, name, kind in _PER_SCENE
-    )
-    transfer = [Row(f"Ours, {kind}", ours, scenes=kind) for kind in ROOM_KINDS]
+        for method in _PER_SCENE
+    ]
+    transfer = [
+        Row(f"{label}, {kind}", method, scenes=kind,
+            without=NO_MASKS if kind == "captures" or method != ours else frozenset())
+        for kind in SCENE_KINDS
+        for label, method in (("Uni3R style", OnePass(UNI3R)), ("Ours", ours))
+    ]  # fmt: skip
     each = (
         Table(1, "Reconstruction and feature lifting with 2 context views", 2,
               (*SOURCE, *TARGET, *PICTURES, *cost), (
-            Row("2D encoder (LSeg's place)", features=ENCODER, short="2D encoder",
+            Row("2D encoder (LSeg's place)", features=ENCODER, pictured=False,
                 without=frozenset({"stored"})),
-            Row(LSM, not_built=_LATER),
-            Row(UNI3R, not_built=_LATER),
-            Row(C3G, not_built=_LATER),
-            Row("one feature per pixel, our scenes", features=PIXELS, short="per pixel"),
-            Row("one feature per Gaussian, our scenes", features=GAUSSIANS, short="per Gaussian"),
+            Row("LSM style", OnePass(LSM), OWN),
+            Row("Uni3R style", OnePass(UNI3R), OWN),
+            Row("C3G style", OnePass(C3G), OWN),
+            Row("one feature per pixel, our scenes", features=PIXELS, pictured=False),
+            Row("one feature per Gaussian, our scenes", features=GAUSSIANS, pictured=False),
             Row("Ours", ours, features=BOTH),
         )),
         Table(2, "Class-agnostic instances and reconstruction with 8 context views", 8,
               (*MASKS, *PICTURES), (
-            Row("3DGS", PerScene("3dgs"), kind="per-scene optimization", without=NO_MASKS),
+            Row("3DGS", PerScene("3dgs"), kind="per-scene optimization", without=NO_MASKS,
+                pictured=False),
             *per_scene,
-            Row("per-scene methods, masks segmenter", kind="per-scene optimization",
-                not_built=_SEGMENTER),
             Row("Ours, cameras and depth given", Tokenizer(OURS, "given"), kind="feed-forward",
-                short="Ours, given", upper_bound=True),
+                pictured=False, upper_bound=True),
             Row("Ours", ours, kind="feed-forward"),
+            Row(f"Ours, refined in {REFINED_STEPS} steps", Tokenizer(OURS, refine=REFINED_STEPS),
+                kind="feed-forward + optimization", pictured=False),
         )),
         Table(3, "Joint reconstruction and grouping, 2 context views", 2, (*PICTURES, *MASKS), (
             Row("sequential", Tokenizer(SEQUENTIAL)),
@@ -164,16 +181,36 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker) -> dict[int, Table]:
             Row("Group + Anchor", features=BOTH),
         )),
         Table(5, "Training on simulated broken tracks, 2 context views", 2, (*PICTURES, *MASKS), (
-            Row(C3G, not_built=_LATER),
+            Row("C3G style", OnePass(C3G), without=NO_MASKS),
             Row("Ours, broken tracks", Tokenizer(BROKEN)),
             Row("Ours, true tracks", joint, upper_bound=True),
         )),
-        Table(6, "Transfer without fine-tuning, 2 context views", 2, (*PICTURES, *MASKS), (
-            Row(UNI3R, not_built=_LATER), *transfer,
-            Row("Ours, captures", ours, scenes="captures", without=NO_MASKS),
-        )),
+        Table(6, "Transfer without fine-tuning, 2 context views", 2, (*PICTURES, *MASKS),
+              tuple(transfer)),
     )  # fmt: skip
     return {table.number: table for table in each}
+
+
+def _given_masks(
+    source: MaskSource,
+    tracker: Tracker,
+    label: str,
+    short: str,
+    name: MethodName,
+    kind: str,
+    *,
+    pictured: bool,
+) -> Row:
+    """A row of a method that optimises each scene with masks of its photos."""
+    given = f"masks {source}" if source == "true" else f"masks {source}, tracker {tracker}"
+    return Row(
+        f"{label}, {given}",
+        PerScene(name, source, tracker),
+        short=short,
+        kind=kind,
+        pictured=pictured,
+        upper_bound=source == "true",
+    )
 
 
 def without_lpips(table: Table) -> Table:

@@ -1,11 +1,17 @@
-"""Features lifted into the scenes of a model, measured for all kinds at once."""
+"""Features measured: those lifted into the scenes of a model, or those that a method has itself."""
 
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import torch
+from jaxtyping import Float, Int
+from torch import Tensor
 
+from instok3d.baselines.feature_files import load_feature_model
+from instok3d.baselines.feature_method import FeatureMethod
+from instok3d.data.sample import Sample
+from instok3d.evaluation.method_features import SeenFeatures, measure_features
 from instok3d.evaluation.semantic_lifting import (
     ANCHOR,
     BOTH,
@@ -27,26 +33,33 @@ from instok3d.scene.lifting import find_lifting
 from instok3d.semantics.classes import LSM_OF_ROOM, PHRASES
 from instok3d.semantics.teacher import Teacher
 from instok3d.semantics.teachers.file import holds_encoder
+from instok3d.semantics.teachers.opening import open_teacher
 from instok3d.tables.cells import Asked, semantics_file
+from instok3d.tables.definitions import OWN
 from instok3d.tables.picture_files import write_picture
 from instok3d.tables.trained import trained_model
 from instok3d.tables.trainings import OURS
 from instok3d.tables.work import PICTURED, Work
 
 KINDS = (ENCODER, PIXELS, GAUSSIANS, ANCHOR, GROUP, BOTH)
-"""What Tables 1 and 4 show."""
+"""Lifted ones that Tables 1 and 4 show."""
 
 
 def figure_name(kind: str, key: str) -> str:
-    """The name in a cell of a figure of one kind of features."""
+    """The name in a cell of a figure of one kind of features, of KINDS or OWN."""
     return f"{kind}: {key}"
 
 
+def picture_name(kind: str) -> str:
+    """Of the picture of one kind of features, of KINDS or OWN."""
+    return "own" if kind == OWN else f"kind{KINDS.index(kind)}"
+
+
 @torch.no_grad()
-def measure_features(
+def measure_lifted(
     work: Work, asked: Asked, folder: Path, title: str
 ) -> tuple[Mapping[str, float | None], float]:
-    """Figures of all KINDS on the first target of each sample, and the seconds that they took.
+    """Figures of all KINDS in the scenes of OURS, and the seconds that they took.
 
     Raises:
         ValueError: The semantics are of another model; or no pixel has a class.
@@ -58,28 +71,82 @@ def measure_features(
     lifting = find_lifting(file, tokenizer, default=False, teacher=elsewhere)
     assert lifting is not None
     teacher = lifting.encoder.teacher
-    scenes = work.scenes(asked.row.scenes, asked.views)
+    phrases = teacher.text(PHRASES)
     started = time.monotonic()
-    with progress_bar(len(scenes.names), unit="scene") as bar:
-        bar.set_description(title)
 
-        def lifted() -> Iterator[LiftedScene]:
-            for number in range(len(scenes.names)):
-                scene = work.scene(asked.row.scenes, asked.views, number, None)
-                for place, sample in enumerate(scene.samples):
-                    found = lifted_scene(tokenizer, lifting.model, teacher, sample)
-                    if place == 0 and number < PICTURED:
-                        _keep_pictures(folder, number, found, teacher)
-                    yield found
-                bar.update()
+    def lifted() -> Iterator[LiftedScene]:
+        for sample, number in _samples(work, asked, title):
+            found = lifted_scene(tokenizer, lifting.model, teacher, sample)
+            if number is not None:
+                first = found.num_context
+                _keep_truth(folder, number, sample, found.classes[1, first])
+                for kind in KINDS:
+                    maps, _ = feature_maps(found, kind, phrases)
+                    _keep_classes(folder, number, kind, maps[first], phrases, sample)
+            yield found
 
-        measured = measure_lifting(lifted(), teacher, KINDS)
+    measured = measure_lifting(lifted(), teacher, KINDS)
     figures = {
         figure_name(kind, key): value
         for kind, found in measured.items()
         for key, value in _figures(found).items()
     }
     return figures, time.monotonic() - started
+
+
+@torch.no_grad()
+def measure_own(
+    work: Work, asked: Asked, folder: Path, title: str
+) -> tuple[Mapping[str, float | None], float]:
+    """Figures of the features that a model of one pass gives its Gaussians, and the seconds.
+
+    Raises:
+        ValueError: No pixel has a class.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (training,) = asked.trainings
+    teacher = open_teacher(work.schedule.teacher)
+    method = feature_method(work, trained_model(work, training).path, teacher)
+    phrases = teacher.text(PHRASES)
+    started = time.monotonic()
+    shown: dict[str, int] = {}
+
+    def samples() -> Iterator[Sample]:
+        for sample, number in _samples(work, asked, title):
+            if number is not None:
+                shown[sample.names[0]] = number
+            yield sample
+
+    def keep(sample: Sample, seen: SeenFeatures) -> None:
+        number = shown.pop(sample.names[0], None)
+        if number is not None:
+            first = seen.truth.num_context
+            _keep_truth(folder, number, sample, seen.truth.classes[1, first])
+            _keep_classes(folder, number, OWN, seen.maps[first], phrases, sample)
+
+    found = measure_features(method, samples(), teacher, keep)
+    figures = {figure_name(OWN, key): value for key, value in _figures(found).items()}
+    return figures, time.monotonic() - started
+
+
+def feature_method(work: Work, path: Path, teacher: Teacher | None = None) -> FeatureMethod:
+    """The model of one pass of a file, which sees bare photos."""
+    model = load_feature_model(path)
+    if teacher is None and model.takes_features:
+        teacher = open_teacher(work.schedule.teacher)
+    return FeatureMethod(model, "predicted", teacher)
+
+
+def _samples(work: Work, asked: Asked, title: str) -> Iterator[tuple[Sample, int | None]]:
+    """Every sample, with the number of its scene where the figures show it, and progress."""
+    scenes = work.scenes(asked.row.scenes, asked.views)
+    with progress_bar(len(scenes.names), unit="scene") as bar:
+        bar.set_description(title)
+        for number in range(len(scenes.names)):
+            samples = work.scene(asked.row.scenes, asked.views, number, None).samples
+            for place, sample in enumerate(samples):
+                yield sample, number if place == 0 and number < PICTURED else None
+            bar.update()
 
 
 def _figures(found: LiftedFigures) -> dict[str, float]:
@@ -92,16 +159,24 @@ def _figures(found: LiftedFigures) -> dict[str, float]:
     }
 
 
-def _keep_pictures(folder: Path, number: int, scene: LiftedScene, teacher: Teacher) -> None:
-    """LSM's classes in the target by each kind of features, beside the true ones."""
-    phrases, onto = teacher.text(PHRASES), torch.tensor(LSM_OF_ROOM)
-    target = scene.num_context
-    size = (scene.photos.shape[-2], scene.photos.shape[-1])
-    truth = scene.classes[1, target]
-    cells = {"photo": color_picture(scene.photos[target]), "truth": id_picture(truth + 1)}
-    for place, kind in enumerate(KINDS):
-        maps, _ = feature_maps(scene, kind, phrases)
-        named = onto[nearest_class(maps[target : target + 1], phrases, size)[0]]
-        cells[f"kind{place}"] = id_picture(named + 1)
+def _keep_classes(
+    folder: Path,
+    number: int,
+    kind: str,
+    maps: Float[Tensor, "feature row column"],
+    phrases: Float[Tensor, "phrase feature"],
+    sample: Sample,
+) -> None:
+    """LSM's classes in the first target of a sample, by features there."""
+    height, width = sample.target.images.shape[-2:]
+    named = torch.tensor(LSM_OF_ROOM)[nearest_class(maps[None], phrases, (height, width))[0]]
+    write_picture(folder / f"{number:05d}_{picture_name(kind)}.png", id_picture(named + 1))
+
+
+def _keep_truth(
+    folder: Path, number: int, sample: Sample, classes: Int[Tensor, "height width"]
+) -> None:
+    """The first target of a sample and LSM's classes in it."""
+    cells = {"photo": color_picture(sample.target.images[0, 0]), "truth": id_picture(classes + 1)}
     for name, cell in cells.items():
         write_picture(folder / f"{number:05d}_{name}.png", cell)

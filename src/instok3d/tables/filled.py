@@ -57,11 +57,6 @@ class FilledTable:
     rows: tuple[FilledRow, ...]
     notes: tuple[str, ...] = ()
 
-    @property
-    def not_built(self) -> list[str]:
-        """Rows of the paper that nobody can measure yet."""
-        return [row.label for row in self.table.rows if row.not_built]
-
     def figures(self) -> list[list[float | None]]:
         """By rows and columns.
 
@@ -101,7 +96,7 @@ def as_markdown(filled: FilledTable) -> str:
         cells = [f"**{x}**" if (place, n) in best else x for n, x in enumerate(cells)]
         label = f"{row.row.label} (upper bound)" if row.row.upper_bound else row.row.label
         lines.append(_bar([*_kinds(table, row.row.kind), label, *cells]))
-    lines += ["", *(f"- {note}" for note in [*_notes(filled), *_origins(filled)])]
+    lines += ["", *(f"- {note}" for note in [*filled.notes, *_origins(filled)])]
     return "\n".join(lines) + "\n"
 
 
@@ -121,7 +116,7 @@ def as_latex(filled: FilledTable) -> str:
         words = [escaped(text) for text in [*_kinds(table, row.row.kind), label]]
         lines.append(" & ".join([*words, *cells]) + r" \\")
     lines += [r"\bottomrule", r"\end{tabular}"]
-    notes = [f"% {' '.join(note.split())}" for note in [*_notes(filled), *_origins(filled)]]
+    notes = [f"% {' '.join(note.split())}" for note in [*filled.notes, *_origins(filled)]]
     return "\n".join([f"% Table {table.number}: {table.title}", *notes, *lines]) + "\n"
 
 
@@ -132,7 +127,6 @@ def as_json(filled: FilledTable) -> dict[str, Any]:
         "table": filled.table.number,
         "title": filled.table.title,
         "columns": keys,
-        "not_built": filled.not_built,
         "notes": list(filled.notes),
         "rows": [
             {
@@ -178,17 +172,13 @@ def _text(value: float, column: Column) -> str:
     return f"{value:,.{column.decimals}f}"
 
 
-def _notes(filled: FilledTable) -> list[str]:
-    missing = f"Not built yet: {', '.join(filled.not_built)}." if filled.not_built else ""
-    return [*filled.notes, *([missing] if missing else [])]
-
-
 def _origins(filled: FilledTable) -> list[str]:
     """One line for each row: scenes, hashes, seed, hours, commit, command."""
     lines = []
     for row in filled.rows:
         for name, cell in row.cells.items():
-            weights = f", weights {cell.weights_sha256[:12]}" if cell.weights_sha256 else ""
+            weights = " + ".join(sha[:12] for sha in cell.weights_sha256)
+            weights = f", weights {weights}" if weights else ""
             hours = f"{cell.hours:.2f} h"
             if cell.training_hours is not None:
                 hours += f" + {cell.training_hours:.2f} h training"

@@ -8,6 +8,7 @@ import torch
 
 from instok3d.baselines.context_masks import MasksOf, context_masks
 from instok3d.baselines.registry import METHODS
+from instok3d.baselines.segmenter_file import load_segmenter
 from instok3d.baselines.settings import SplatSettings
 from instok3d.data.batches import Unit
 from instok3d.data.sample import Sample
@@ -26,13 +27,13 @@ from instok3d.pictures import color_picture, id_picture
 from instok3d.progress import progress_bar
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.cells import Asked, Cell, cell_path, read_cell, write_cell
-from instok3d.tables.definitions import PerScene, Tokenizer
-from instok3d.tables.features import measure_features
+from instok3d.tables.definitions import OnePass, PerScene, Tokenizer
+from instok3d.tables.features import feature_method, measure_lifted, measure_own
 from instok3d.tables.machine import machine_name
 from instok3d.tables.picture_files import write_picture
 from instok3d.tables.scene_sets import digest
-from instok3d.tables.trained import trained_model
-from instok3d.tables.trainings import SEMANTICS
+from instok3d.tables.trained import TrainedModel, trained_model
+from instok3d.tables.trainings import OURS, SEGMENTER
 from instok3d.tables.work import PICTURED, Work
 from instok3d.version import current_commit
 
@@ -49,30 +50,41 @@ def measure(work: Work, asked: Asked, title: str) -> Cell:
     if path.is_file():
         return read_cell(path)
     if asked.of == "features":
-        figures, seconds = measure_features(work, asked, path.with_suffix(""), title)
+        by_method = measure_lifted if asked.method is None else measure_own
+        figures, seconds = by_method(work, asked, path.with_suffix(""), title)
     else:
         figures, seconds = _views(work, asked, path.with_suffix(""), title)
     names = work.scenes(asked.row.scenes, asked.views).names
-    needed = SEMANTICS if asked.of == "features" else asked.training
-    model = trained_model(work, needed) if needed else None
-    method = asked.row.method if asked.of == "views" else None
+    models = [trained_model(work, name) for name in asked.trainings]
+    method = asked.method
     write_cell(
         path,
         Cell(
             figures=figures,
-            method=str(method or "features"),
+            method=f"{asked.of} of {method or 'ours, of all kinds'}",
             scenes=len(names),
             scenes_sha256=digest(names),
-            weights_sha256=model and model.sha256,
+            weights_sha256=[model.sha256 for model in models],
             command=work.command,
             commit=current_commit(),
             machine=machine_name(),
-            seed=_splats(work).seed if isinstance(method, PerScene) else model and model.seed,
+            seed=_splats(work).seed if isinstance(method, PerScene) else models[-1].seed,
             hours=round(seconds / 3600, 5),
-            training_hours=model and model.hours,
+            training_hours=hours_of(models),
         ),
     )
     return read_cell(path)
+
+
+def hours_of(models: Sequence[TrainedModel]) -> float | None:
+    """Of all trainings behind some models; None where nobody knows, or there is none.
+
+    What two of them begin with is counted once.
+    """
+    runs = {run: hours for model in models for run, hours in model.runs.items()}
+    if not runs or None in runs.values():
+        return None
+    return sum(hours for hours in runs.values() if hours is not None)
 
 
 def _splats(work: Work) -> SplatSettings:
@@ -138,19 +150,24 @@ def _measurer(work: Work, asked: Asked, folder: Path) -> Callable[[int], SceneSc
 
 
 def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | None]:
-    row = asked.row.method
-    model = path = None
-    if asked.training is not None:
-        path = trained_model(work, asked.training).path
-        model = load_model(path)
+    row = asked.method
+    paths = {name: trained_model(work, name).path for name in asked.trainings}
+    if isinstance(row, OnePass):
+        return feature_method(work, paths[row.training]), None, None
     if isinstance(row, Tokenizer):
-        assert model is not None
-        return TokenizerMethod(model, row.geometry, row.refine), None, read_unit(path)
+        path = paths[row.training]
+        steps = min(row.refine, QUICK_SPLATS.steps) if work.schedule.quick else row.refine
+        return TokenizerMethod(load_model(path), row.geometry, steps), None, read_unit(path)
     assert isinstance(row, PerScene)
     settings = _splats(work)
     masks_of = None
     if row.masks is not None and row.tracker is not None:
-        masks_of = context_masks(row.masks, row.tracker, model=model, seed=settings.seed)
+        masks_of = context_masks(
+            row.masks, row.tracker,
+            model=load_model(paths[OURS]) if OURS in paths else None,
+            segment=load_segmenter(paths[SEGMENTER]).masks if SEGMENTER in paths else None,
+            seed=settings.seed,
+        )  # fmt: skip
     return METHODS[row.method](settings), masks_of, None
 
 

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from instok3d.tables.cells import Asked, asked_of, cell_path
-from instok3d.tables.definitions import PerScene, Table, Tokenizer
+from instok3d.tables.definitions import OnePass, PerScene, Table, Tokenizer
 from instok3d.tables.trained import file_of, is_trained
-from instok3d.tables.trainings import JOINT, OURS, SEMANTICS, config_of, needed
+from instok3d.tables.trainings import JOINT, OURS, TRAININGS, config_of, needed
 from instok3d.tables.work import Work
 
-UPDATE_S = 2.6
-"""Of the nano tokenizer on one core: 11 hours for 15,000 (runs/default_model.sh)."""
-FEATURES_S, TOKENIZER_S, REFINED_S, PER_SCENE_S = 6.0, 1.5, 12.0, 26.0
+FEATURES_S, TOKENIZER_S, ONE_PASS_S, REFINED_S, PER_SCENE_S = 6.0, 1.5, 1.5, 12.0, 26.0
 """For a scene of 128 x 128 pixels on one core, about."""
 QUICK_S = 2.0
 """Of a step at toy sizes."""
@@ -34,8 +32,6 @@ class TablesPlan:
     """All that is to be done, in its order."""
 
     steps: tuple[Step, ...]
-    not_built: tuple[str, ...]
-    """Rows that nobody can measure yet, each with its table and why."""
     missing: tuple[str, ...] = ()
     """Rooms and captures that are not there, each with what makes them."""
 
@@ -54,22 +50,15 @@ def make_plan(work: Work, tables: Sequence[Table]) -> TablesPlan:
     """
     wanted = [(table, each) for table in tables for _, cells in asked_of(table) for each in cells]
     asked, missing = _with_scenes(work, wanted)
-    names = [name for _, each in asked for name in ([each.training] if each.training else [])]
-    names += [SEMANTICS for _, each in asked if each.of == "features"]
-    order = needed(names, work.model is not None, work.semantics is not None)
+    names = list(dict.fromkeys(name for _, each in asked for name in each.trainings))
+    order = needed(names, [name for name in names if file_of(work, name) is not None])
     try:
         _ = order and work.training_digest
     except FileNotFoundError as error:
-        return TablesPlan((), (), (str(error), *missing))
+        return TablesPlan((), (str(error), *missing))
     return TablesPlan(
         missing=tuple(missing),
         steps=(*(_training(work, name) for name in order), *_cells(work, asked)),
-        not_built=tuple(
-            f"Table {table.number}, {row.label}: {row.not_built}"
-            for table in tables
-            for row in table.rows
-            if row.not_built
-        ),
     )
 
 
@@ -90,7 +79,7 @@ def _with_scenes(
 def _training(work: Work, name: str) -> Step:
     config = config_of(name, work.schedule)
     done = is_trained(work, name)
-    seconds = QUICK_S if work.schedule.quick else config.steps * UPDATE_S
+    seconds = QUICK_S if work.schedule.quick else config.steps * TRAININGS[name].update_s
     hours = 0.0 if done else seconds / 3600
     masks = f", masks {config.masks}" if config.masks else ""
     return Step(f"train {name}: {config.steps} updates{masks}", name, None, done, hours)
@@ -100,7 +89,7 @@ def _cells(work: Work, asked: Sequence[tuple[Table, Asked]]) -> list[Step]:
     steps: list[Step] = []
     seen: set[object] = set()
     for table, each in asked:
-        method = each.row.method if each.of == "views" else None
+        method = each.method
         if isinstance(method, Tokenizer) and method.training == OURS and work.model is None:
             method = replace(method, training=JOINT)
         same = (each.of, method, each.row.scenes, each.views)
@@ -109,7 +98,9 @@ def _cells(work: Work, asked: Sequence[tuple[Table, Asked]]) -> list[Step]:
         seen.add(same)
         count = len(work.scenes(each.row.scenes, each.views).names)
         done = _is_there(work, each) and cell_path(work, each).is_file()
-        label = "features of all kinds" if each.of == "features" else each.row.label
+        label = each.row.label if each.method else "features of all kinds"
+        if each.of == "features" and each.method:
+            label = f"{label}, features"
         seconds = QUICK_S if work.schedule.quick else count * _scene_s(each)
         what = f"measure Table {table.number}, {label}: {count} scenes"
         steps.append(Step(what, None, each, done, 0.0 if done else seconds / 3600))
@@ -118,11 +109,9 @@ def _cells(work: Work, asked: Sequence[tuple[Table, Asked]]) -> list[Step]:
 
 def _is_there(work: Work, asked: Asked) -> bool:
     """Whether all models that a cell needs are trained."""
-    names = [asked.training] if asked.training else []
-    names += [SEMANTICS] if asked.of == "features" else []
     return all(
         file_of(work, name) is not None or is_trained(work, JOINT if name == OURS else name)
-        for name in names
+        for name in asked.trainings
     )
 
 
@@ -132,16 +121,17 @@ def _scene_s(asked: Asked) -> float:
     method = asked.row.method
     if isinstance(method, PerScene):
         return PER_SCENE_S
+    if isinstance(method, OnePass):
+        return ONE_PASS_S
     assert isinstance(method, Tokenizer)
     return REFINED_S if method.refine else TOKENIZER_S
 
 
 def plan_text(plan: TablesPlan) -> str:
-    """A line for each step, what cannot be done, and the sum."""
+    """A line for each step, what is missing, and the sum."""
     lines = [
         f"{'done' if step.done else f'{step.hours:.2f} h':>8}  {step.what}" for step in plan.steps
     ]
-    lines += [f"{'not built':>8}  {each}" for each in plan.not_built]
     lines += [f"{'missing':>8}  {each}" for each in plan.missing]
     left = sum(not step.done for step in plan.steps)
     lines.append(

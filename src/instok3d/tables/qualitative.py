@@ -6,7 +6,7 @@ from pathlib import Path
 from instok3d.files import replacing
 from instok3d.pictures import contact_sheet, titled_rows
 from instok3d.tables.definitions import Row
-from instok3d.tables.features import KINDS
+from instok3d.tables.features import picture_name
 from instok3d.tables.picture_files import read_picture
 from instok3d.tables.work import PICTURED
 
@@ -31,24 +31,23 @@ def write_figures(
     """
     written = []
     scenes = range(min(num_scenes, PICTURED))
+    rows = [(row, files) for row, files in rows if row.pictured]
     with_views = [(row, files["views"]) for row, files in rows if "views" in files]
     if number == 1 and with_views:
         columns = [(row.short or row.label, place, "render") for row, place in with_views]
         columns.append(("ground truth", with_views[0][1], "photo"))
         written.append(_sheet(folder / f"{FIGURES[1]}.png", columns, scenes))
-    if number == 2:
-        shown = [(row, place) for row, place in with_views if not row.without]
-        if shown:
-            first = shown[0][1]
-            columns = [(row.short or row.label, place, "masks") for row, place in shown]
-            columns += [("photo", first, "photo"), ("ground truth", first, "truth")]
-            written.append(_sheet(folder / f"{FIGURES[2]}.png", columns, scenes))
+    if number == 2 and with_views:
+        first = with_views[0][1]
+        columns = [(row.short or row.label, place, "masks") for row, place in with_views]
+        columns += [("photo", first, "photo"), ("ground truth", first, "truth")]
+        written.append(_sheet(folder / f"{FIGURES[2]}.png", columns, scenes))
     with_features = [(row, files["features"]) for row, files in rows if "features" in files]
     if number == 1 and with_features:
         first = with_features[0][1]
         columns = [("photo", first, "photo")]
         columns += [
-            (row.short or row.label, place, f"kind{KINDS.index(row.features)}")
+            (row.short or row.label, place, picture_name(row.features))
             for row, place in with_features
             if row.features is not None
         ]

@@ -19,31 +19,23 @@ from instok3d.tables.work import Work
 LOCK = ".lock"
 
 
-def make_tables(
-    work: Work, tables: Sequence[Table], *, resume: bool = False, built_only: bool = False
-) -> list[Path]:
+def make_tables(work: Work, tables: Sequence[Table], *, resume: bool = False) -> list[Path]:
     """Train what is missing, measure what is missing, write the tables; returns their files.
 
     Args:
         work: The folder and what the tables are made of.
         tables: Which.
         resume: Go on in a folder that holds tables.
-        built_only: Leave out the rows whose method is not there; they are named under the table.
 
     Raises:
-        ValueError: A row's method is not built, the folder holds tables and resume is off, another
-            process is at work in it, or a figure is missing.
+        ValueError: The folder holds tables and resume is off, another process is at work in it, or
+            a figure is missing.
         FileNotFoundError: Rooms, captures or given models are not there.
     """
     folder = work.folder
     if folder.exists() and any(folder.iterdir()) and not resume:
         raise ValueError(f"{folder} is not empty: pass --resume to go on, or choose another folder")
     plan = make_plan(work, tables)
-    if plan.not_built and not built_only:
-        raise ValueError(
-            f"{len(plan.not_built)} rows have no method yet ({'; '.join(plan.not_built)}): pass "
-            "--built-only to make the tables without them, which the tables then say"
-        )
     if plan.missing:
         raise FileNotFoundError("; ".join(plan.missing))
     folder.mkdir(parents=True, exist_ok=True)

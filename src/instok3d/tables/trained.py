@@ -1,5 +1,6 @@
 """Trained models, each in a folder named by the hash of what it was made from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -7,7 +8,15 @@ from instok3d.datasets.opening import open_training_scenes
 from instok3d.files import sha256_of, write_json, write_safetensors
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.code_version import code_hash
-from instok3d.tables.trainings import JOINT, OURS, SEMANTICS, TRAININGS, config_of
+from instok3d.tables.digests import digest_of
+from instok3d.tables.trainings import (
+    JOINT,
+    OURS,
+    SEGMENTER,
+    SEMANTICS,
+    TRAININGS,
+    config_of,
+)
 from instok3d.tables.work import Work, key_of
 from instok3d.training.cache.features import of_backbone
 from instok3d.training.checkpoint import has_checkpoint, read_weights
@@ -24,16 +33,15 @@ class TrainedModel:
 
     path: Path
     sha256: str
-    hours: float | None
-    """Of its training and of those that it begins with; None where the file does not say."""
+    runs: Mapping[str, float | None]
+    """Hours of its training and of those that it begins with, by their folders; None where the
+    file does not say."""
     seed: int | None
 
 
 def file_of(work: Work, name: str) -> Path | None:
     """The user's file that stands for a training; None where it has to be trained."""
-    if name == OURS:
-        return work.model
-    return work.semantics if name == SEMANTICS else None
+    return {OURS: work.model, SEMANTICS: work.semantics, SEGMENTER: work.segmenter}.get(name)
 
 
 def folder_of(work: Work, name: str) -> Path:
@@ -87,14 +95,14 @@ def trained_model(work: Work, name: str) -> TrainedModel:
     if (file := file_of(work, name)) is not None:
         if not file.is_file():
             raise FileNotFoundError(f"there is no file {file} of the model that is to be measured")
-        return TrainedModel(file, sha256_of(file), None, None)
+        return TrainedModel(file, digest_of(file), {str(file): None}, None)
     name = JOINT if name == OURS else name
     folder = folder_of(work, name)
     remedy = f"remove the folder {folder}, it is then trained again"
     record = read_json(folder / RECORD, remedy)
     with naming_damage(folder / RECORD, remedy):
-        found = TrainedModel(folder / MODEL, record["sha256"], record["hours"], record["seed"])
-    if sha256_of(found.path) != found.sha256:
+        found = TrainedModel(folder / MODEL, record["sha256"], record["runs"], record["seed"])
+    if digest_of(found.path) != found.sha256:
         raise ValueError(f"{found.path} is damaged (not the weights that were written); {remedy}")
     return found
 
@@ -130,11 +138,11 @@ def train_model(work: Work, name: str) -> TrainedModel:
         raise KeyboardInterrupt
     card = export_model(folder / RUN, folder / MODEL, half=False, notes=f"{name}, for tables")
     after = TRAININGS[name].after
-    before = 0.0 if after is None else trained_model(work, after).hours or 0.0
+    before = {} if after is None else trained_model(work, after).runs
     record = {
         "training": name,
         "sha256": sha256_of(folder / MODEL),
-        "hours": card["hours"] + before,
+        "runs": {**before, folder.name: card["hours"]},
         "seed": config.seed,
         "steps": config.steps,
         "scenes": card["scenes"],

@@ -1,21 +1,44 @@
-"""What the tables train: all from the same backbone, on the same rooms, for the same steps."""
+"""What the tables train: all from the same backbone, on the same rooms, for the same hours."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from instok3d.backbones.nano.backbone import NanoConfig
+from instok3d.baselines.pixel_features import PixelFeatureConfig
+from instok3d.baselines.query_gaussians import QueryGaussianConfig
+from instok3d.baselines.segmenter import SegmenterConfig
 from instok3d.data.broken_tracks import BROKEN_TRACKS
 from instok3d.model.gaussian_head import GaussianHeadConfig
+from instok3d.model.pixel_gaussians import PixelGaussianConfig
 from instok3d.model.tokenizer import TokenizerConfig
+from instok3d.semantics.predictor import PredictorConfig
 from instok3d.training.config import TrainConfig, preset
+from instok3d.training.stages.features import (
+    FeatureStageConfig,
+    PixelFeaturesStageConfig,
+    QueryGaussiansStageConfig,
+)
+from instok3d.training.stages.segmenter import SegmenterStageConfig
 from instok3d.training.stages.semantics import SemanticsStageConfig
+from instok3d.training.stages.stage import StageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
 OURS = "ours"
 """The model of a file where one is given, else JOINT."""
 JOINT, NO_WARMUP, RENDERING, SEQUENTIAL = "joint", "no-warmup", "rendering", "sequential"
 BROKEN, SEMANTICS = "broken-tracks", "semantics"
+LSM, UNI3R, C3G = "lsm-style", "uni3r-style", "c3g-style"
+"""Models of one pass with a feature for each Gaussian (`baselines.feature_method`)."""
+SEGMENTER = "segmenter"
+"""Finds the masks that methods of Table 2 are given."""
+
+UPDATE_S = 2.6
+"""Seconds of one core that an update of the tokenizer takes: 11 hours for 15,000
+(runs/default_model.sh). Those of others are by their CPU time over its, in one run."""
+SEMANTICS_UPDATES = 0.4
+"""Of the semantics, over those of the tokenizer."""
+SEMANTICS_UPDATE_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -30,8 +53,15 @@ class Training:
     after: str | None = None
     """The training whose model it begins with; None: the backbone."""
     share: float = 1.0
-    """Of the steps of a whole run."""
+    """Of the time of the tokenizer's run."""
+    update_s: float = UPDATE_S
+    """Seconds of one core that an update takes: the number of updates follows from the time."""
+    full_width: bool = False
+    """Each pixel's feature has all channels of the 2D encoder, as LSM's, and not Uni3R's 64."""
 
+
+_PICTURES_AND_FEATURES = 1 + SEMANTICS_UPDATES * SEMANTICS_UPDATE_S / UPDATE_S
+"""Learned in one run, in the time of our two."""
 
 TRAININGS: dict[str, Training] = {
     JOINT: Training(),
@@ -39,11 +69,18 @@ TRAININGS: dict[str, Training] = {
     RENDERING: Training(stage={"trained": "rendering"}, share=0.5),
     SEQUENTIAL: Training(stage={"trained": "grouping"}, after=RENDERING, share=0.5),
     BROKEN: Training(masks=BROKEN_TRACKS),
-    SEMANTICS: Training("nano-semantics", after=OURS, share=0.4),
+    SEMANTICS: Training(
+        "nano-semantics", after=OURS, share=_PICTURES_AND_FEATURES - 1, update_s=SEMANTICS_UPDATE_S
+    ),
+    LSM: Training("nano-uni3r-style", share=_PICTURES_AND_FEATURES, update_s=3.4, full_width=True),
+    UNI3R: Training("nano-uni3r-style", share=_PICTURES_AND_FEATURES, update_s=1.8),
+    C3G: Training("nano-c3g-style", share=_PICTURES_AND_FEATURES, update_s=6.0),
+    SEGMENTER: Training("nano-segmenter", update_s=1.5),
 }
 """The two halves of the sequential training have half of the steps each: equal compute."""
 
 QUICK_STEPS = 1
+QUICK_BACKBONE = NanoConfig(width=64, layers=1)
 QUICK_SIZES = TokenizerConfig(
     width=32, num_anchors=16, num_groups=4, anchor_layers=1, group_layers=1, head_size=16,
     gaussian_head=GaussianHeadConfig(gaussians_per_anchor=4, sh_degree=1),
@@ -55,11 +92,14 @@ class Schedule:
     """What all trainings have in common."""
 
     steps: int
+    """Updates of the tokenizer's run."""
     seed: int
     quick: bool
     """Tiny networks: shows that the parts fit together, and nothing else."""
     teacher: str
-    """Of the semantics, as `open_teacher` takes it."""
+    """2D encoder of all features, as `open_teacher` takes it."""
+    channels: int = 256
+    """Of its features; 256 has the one that comes with instok3d."""
     threads: int | None = None
 
 
@@ -73,12 +113,14 @@ def config_of(name: str, schedule: Schedule) -> TrainConfig:
         raise KeyError(f"there is no training {name!r}; there are {', '.join(TRAININGS)}")
     training = TRAININGS[name]
     config = preset(training.preset)
-    steps = max(1, round(schedule.steps * training.share))
-    stage = replace(config.stage, **training.stage)
-    if isinstance(stage, SemanticsStageConfig):
-        stage = replace(stage, teacher=schedule.teacher)
+    steps = schedule.steps * training.share
+    if not schedule.quick:
+        steps *= UPDATE_S / training.update_s
+    steps = max(1, round(steps))
+    stage = _taught(replace(config.stage, **training.stage), training, schedule)
     if schedule.quick:
-        stage, config = _quick(stage), replace(config, holdout=1)
+        batches = replace(config.batches, batch_size=1, views=(2,))
+        stage, config = quick_stage(stage), replace(config, batches=batches, holdout=1)
     return replace(
         config,
         stage=stage,
@@ -90,35 +132,59 @@ def config_of(name: str, schedule: Schedule) -> TrainConfig:
     )
 
 
-def _quick(stage: Any) -> Any:
-    """The stage at toy sizes, on a backbone with random weights."""
-    assert isinstance(stage, TokenizerStageConfig | SemanticsStageConfig)
-    stage = replace(
-        stage,
-        backbone=NanoConfig(width=64, layers=1),
-        tokenizer=QUICK_SIZES,
-    )
+def _taught(stage: StageConfig, training: Training, schedule: Schedule) -> StageConfig:
+    """The stage with its 2D encoder, for those that learn features."""
+    channels = schedule.channels
     if isinstance(stage, SemanticsStageConfig):
-        return replace(stage, tokens=replace(stage.tokens, group_layers=1))
-    return replace(stage, given_probability=0.0)
+        tokens = replace(stage.tokens, feature_channels=channels)
+        return replace(stage, teacher=schedule.teacher, tokens=tokens)
+    if isinstance(stage, FeatureStageConfig):
+        stage = replace(stage, teacher=schedule.teacher)
+    if isinstance(stage, PixelFeaturesStageConfig):
+        head = stage.model.head
+        if training.full_width:
+            head = replace(head, feature_channels=channels)
+        return replace(stage, model=PixelFeatureConfig(head, channels))
+    if isinstance(stage, QueryGaussiansStageConfig):
+        return replace(stage, model=replace(stage.model, encoder_channels=channels))
+    return stage
 
 
-def needed(names: list[str], model_given: bool, semantics_given: bool) -> list[str]:
+def quick_stage(stage: StageConfig) -> StageConfig:
+    """The stage at toy sizes, to begin with random weights."""
+    if isinstance(stage, SegmenterStageConfig):
+        predictor = PredictorConfig(32, 32, 1, 16, 16, 16)
+        return replace(stage, weights=None, segmenter=SegmenterConfig(predictor, 4, 1))
+    if isinstance(stage, TokenizerStageConfig):
+        stage = replace(stage, given_probability=0.0)
+    if isinstance(stage, SemanticsStageConfig):
+        stage = replace(stage, tokens=replace(stage.tokens, group_layers=1))
+    if isinstance(stage, TokenizerStageConfig | SemanticsStageConfig):
+        return replace(stage, backbone=QUICK_BACKBONE, tokenizer=QUICK_SIZES)
+    assert isinstance(stage, PixelFeaturesStageConfig | QueryGaussiansStageConfig)
+    model = stage.model
+    if isinstance(model, PixelFeatureConfig):
+        head = PixelGaussianConfig(8, 0, feature_channels=model.head.feature_channels // 8)
+        model = PixelFeatureConfig(head, model.encoder_channels)
+    else:
+        model = QueryGaussianConfig(40, 64, 1, encoder_channels=model.encoder_channels)
+    return replace(stage, backbone=QUICK_BACKBONE, model=model)
+
+
+def needed(names: list[str], given: Collection[str]) -> list[str]:
     """All trainings that some of them take, each behind those that it begins with.
 
     Args:
         names: Of trainings, or OURS.
-        model_given: OURS is a file.
-        semantics_given: So are its semantics.
+        given: Those that files of the user stand for.
     """
     order: list[str] = []
 
     def add(name: str) -> None:
-        if name == OURS:
-            if model_given:
-                return
-            name = JOINT
-        if name in order or (name == SEMANTICS and semantics_given):
+        if name in given:
+            return
+        name = JOINT if name == OURS else name
+        if name in order:
             return
         if (after := TRAININGS[name].after) is not None:
             add(after)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from instok3d.evaluation.protocols import ProtocolScene
-from instok3d.files import sha256_of
 from instok3d.model.files import DEFAULT_MODEL, read_card
 from instok3d.objectives.lpips import Lpips
 from instok3d.rooms.shards import read_index
 from instok3d.scene.reconstruct import IMAGE_SIDE
 from instok3d.tables.definitions import SceneKind, Views
+from instok3d.tables.digests import digest_of
 from instok3d.tables.scene_sets import (
     TARGETS_PER_SCENE,
     SceneSet,
@@ -47,6 +47,8 @@ class Work:
     """That is OURS; None trains it."""
     semantics: Path | None = None
     """Of that model; None trains them."""
+    segmenter: Path | None = None
+    """Whose masks methods are given; None trains it."""
     method_steps: int | None = None
     """Of methods that optimise each scene; None takes their own."""
     lpips: Lpips | None = None
@@ -73,11 +75,11 @@ class Work:
             FileNotFoundError: There is neither.
         """
         if self.backbone.is_file():
-            return sha256_of(self.backbone)
+            return digest_of(self.backbone)
         checkpoints = sorted((self.backbone / "checkpoints").glob("step_*.pt"))
         if not checkpoints:
             raise FileNotFoundError(f"no run folder and no .safetensors file at {self.backbone}")
-        return sha256_of(checkpoints[-1])
+        return digest_of(checkpoints[-1])
 
     @property
     def _targets(self) -> int:
