@@ -88,6 +88,22 @@ def test_two_photos_of_different_rooms_are_noted(backbone: NanoBackbone, shared:
     assert "no two of these photos match: p0.png, p1.png" in note
 
 
+@torch.no_grad()
+def test_a_photo_whose_matches_fit_no_camera_is_left_out(backbone: NanoBackbone, shared: Path):
+    # A table with chairs that look alike: the third photo shows others of them from elsewhere.
+    folder = shared / "data/unposed_photos/iggt_demo9"
+    photos = [folder / name for name in ("00000.jpg", "01947.jpg", "01082.jpg")]
+    kept, _ = check(backbone, read(photos))
+    assert len(kept) == 3  # by the number of matches alone
+    found = checked_geometry(backbone, read(photos), "cpu")
+    assert found.photos.names == ("00000.jpg", "01947.jpg")
+    (note,) = found.notes
+    assert note.startswith("left out, as no cameras fit")
+    assert note.endswith(": 01082.jpg")
+    alone = backbone(read(photos[:2]).views)
+    assert torch.equal(found.geometry.depths, alone.depths)
+
+
 @pytest.mark.parametrize(
     ("case", "why"),
     [

@@ -2,7 +2,12 @@ import pytest
 import torch
 
 from instok3d.backbones.nano.common_points import CommonPoints
-from instok3d.scene.odd_views import MATCHED_SHARE, choose_matching_views
+from instok3d.scene.odd_views import (
+    CONFIRMED_SHARE,
+    MATCHED_SHARE,
+    choose_confirmed_views,
+    choose_matching_views,
+)
 
 NAMES = ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"]
 
@@ -69,4 +74,47 @@ def test_given_cameras_keep_a_view_that_shows_another_side_of_the_room():
 
 def test_one_photo_has_nothing_to_match():
     choice = choose([], 1)
+    assert (choice.kept, choice.notes) == ([0], [])
+
+
+def confirm(pairs: list[CommonPoints], fits: list[float], count: int):
+    return choose_confirmed_views(pairs, fits, NAMES[:count])
+
+
+def test_cameras_that_most_matches_fit_are_confirmed():
+    # c fits b alone; the pair a, c contradicts the cameras.
+    pairs = [pair(0, 1, 0.2), pair(1, 2, 0.1), pair(0, 2, 0.3)]
+    choice = confirm(pairs, [0.9, CONFIRMED_SHARE / 0.1, 0.0], 3)
+    assert (choice.kept, choice.notes) == ([0, 1, 2], [])
+
+
+def test_a_view_whose_matches_fit_no_camera_is_left_out_and_named():
+    # Many matches with three views, as of things that repeat: .3 x .03 = .009 is below .012.
+    pairs = [pair(0, 1, 0.2), pair(1, 3, 0.1), *(pair(view, 2, 0.3) for view in (0, 1, 3))]
+    choice = confirm(pairs, [0.9, 0.9, 0.03, 0.03, 0.0], 4)
+    assert choice.kept == [0, 1, 3]
+    (note,) = choice.notes
+    assert note.startswith("left out, as no cameras fit their matches with the other photos")
+    assert note.endswith(": c.jpg")
+
+
+def test_a_view_that_few_matches_confirm_stays_with_a_note():
+    # .04 x .5 = .02 lies between .012 and .035.
+    choice = confirm([pair(0, 1, 0.2), pair(1, 2, 0.04)], [0.9, 0.5], 3)
+    assert choice.kept == [0, 1, 2]
+    (note,) = choice.notes
+    assert note.startswith("the cameras of these photos may be wrong, as few matches fit them: c")
+    choice = confirm([pair(0, 1, 0.04)], [0.5], 2)
+    assert "few matches fit them: a.jpg, b.jpg" in choice.notes[0]
+
+
+def test_if_no_two_cameras_fit_all_views_stay_with_a_note():
+    choice = confirm([pair(0, 1, 0.02), pair(1, 2, 0.3)], [0.5, 0.0], 3)
+    assert choice.kept == [0, 1, 2]
+    (note,) = choice.notes
+    assert note.startswith("no cameras fit the matches of these photos: a.jpg, b.jpg, c.jpg")
+
+
+def test_one_photo_has_no_camera_to_confirm():
+    choice = confirm([], [], 1)
     assert (choice.kept, choice.notes) == ([0], [])

@@ -54,7 +54,7 @@ def camera_notes(
     """
     sure = [pair for pair in points if pair.share >= EVIDENCE_SHARE]
     cameras, intrinsics = cam_from_world.double(), intrinsics.double()
-    fits = [float(_fit(pair, cameras, intrinsics)) for pair in sure]
+    fits = [float(fit_share(pair, cameras, intrinsics)) for pair in sure]
     total = _mean_fit(sure, fits)
     measured = (
         f"{total:.0%} of {sum(len(pair.pixels_a) for pair in sure):,} matches agree with the "
@@ -76,10 +76,18 @@ def camera_notes(
     return [f"the given cameras contradict the photos: {measured}; {why}"]
 
 
-def _fit(
-    pair: CommonPoints, cameras: Float[Tensor, "*batch view 4 4"], intrinsics: Tensor
+def fit_share(
+    pair: CommonPoints,
+    cameras: Float[Tensor, "*batch view 4 4"],
+    intrinsics: Float[Tensor, "view 3 3"],
 ) -> Float[Tensor, "*batch"]:
-    """Share of inliers among the points of a pair."""
+    """Share of inliers among the points of a pair: those within TOLERANCE_PX of the epipolar line.
+
+    Args:
+        pair: With one point at least.
+        cameras: cam_from_world of all views, float64, in any unit.
+        intrinsics: Of the images in whose pixels the points are, float64.
+    """
     a, b = pair.view_a, pair.view_b
     b_from_a = cameras[..., b, :, :] @ invert_rigid(cameras[..., a, :, :])
     errors = match_errors(
@@ -124,7 +132,7 @@ def _explain(
     """
     changes = _mix_ups()
     tried = torch.stack([change(cameras) for _, change in changes])
-    fits = [_fit(pair, tried, intrinsics).tolist() for pair in pairs]
+    fits = [fit_share(pair, tried, intrinsics).tolist() for pair in pairs]
     scores = []
     for number in range(len(changes)):
         fits_now = [fit[number] for fit in fits]

@@ -1,4 +1,4 @@
-"""Geometry of photos after two checks: do the photos overlap, and do given cameras fit them?"""
+"""Geometry of photos after checks: do they overlap, and do given or solved cameras fit them?"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,12 +9,16 @@ from torch import Tensor
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.backbones.nano.backbone import ComparedPhotos, NanoBackbone
-from instok3d.backbones.nano.common_points import contrast_share, find_common_points
+from instok3d.backbones.nano.common_points import (
+    CommonPoints,
+    contrast_share,
+    find_common_points,
+)
 from instok3d.photos.loading import PhotoSet
-from instok3d.scene.camera_check import camera_notes
+from instok3d.scene.camera_check import camera_notes, fit_share
 from instok3d.scene.colmap_source import ColmapSource, colmap_geometry
 from instok3d.scene.geometry_source import GeometrySource, own_name, supplied_geometry
-from instok3d.scene.odd_views import choose_matching_views
+from instok3d.scene.odd_views import choose_confirmed_views, choose_matching_views
 from instok3d.scene.stated_focal import by_best_focal
 from instok3d.scene.supplied import unsure_patches
 from instok3d.types import Geometry
@@ -27,6 +31,8 @@ class CheckedPhotos:
     photos: PhotoSet
     compared: ComparedPhotos
     """On the device of the backbone."""
+    points: list[CommonPoints]
+    """Of the same pairs."""
     notes: list[str]
     """Warnings about photos or cameras, one sentence each."""
 
@@ -79,7 +85,7 @@ def checked_geometry(
         checked = check_photos(backbone, photos, device)
         photos, notes = checked.photos, checked.notes
         if source is None:
-            photos, geometry, doubts = by_best_focal(backbone, photos, checked.compared, device)
+            photos, geometry, doubts = _solved(backbone, checked, device)
             return CheckedGeometry(photos, geometry, [*notes, *doubts], name)
     elif source is None:
         return CheckedGeometry(photos, backbone(photos.views.to(device)), notes, name)
@@ -116,4 +122,33 @@ def check_photos(
     if views.cam_from_world is not None and views.intrinsics is not None:
         cameras, intrinsics = views.cam_from_world[0], views.intrinsics[0]
         notes = [*notes, *camera_notes(points, cameras, intrinsics, photos.names)]
-    return CheckedPhotos(photos, compared, notes)
+    return CheckedPhotos(photos, compared, points, notes)
+
+
+def _solved(
+    backbone: NanoBackbone, checked: CheckedPhotos, device: str | torch.device
+) -> tuple[PhotoSet, Geometry, list[str]]:
+    """Geometry of the photos whose solved cameras their matches confirm, and notes on the rest.
+
+    Given cameras are not solved for, and all photos stay.
+    """
+    notes: list[str] = []
+    while True:
+        photos, geometry, doubts = by_best_focal(backbone, checked.photos, checked.compared, device)
+        if photos.views.cam_from_world is not None:
+            return photos, geometry, [*notes, *doubts]
+        cameras, intrinsics = (
+            values[0].double()
+            for values in (geometry.cameras.cam_from_world, geometry.cameras.intrinsics)
+        )
+        fits = [
+            float(fit_share(pair, cameras, intrinsics)) if len(pair.pixels_a) else 0.0
+            for pair in checked.points
+        ]
+        choice = choose_confirmed_views(checked.points, fits, photos.names)
+        if len(choice.kept) == len(photos.names):
+            return photos, geometry, [*notes, *choice.notes, *doubts]
+        # Wrong cameras spoil the others and the depths: solve again without them, and check again.
+        notes.append(choice.notes[0])
+        checked = check_photos(backbone, checked.photos.select(choice.kept), device)
+        notes += checked.notes

@@ -1,4 +1,4 @@
-"""Views that overlap with no other: another room, a black, covered or overexposed photo."""
+"""Views that no other confirms: another room, a covered photo, or a camera that is a guess."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ MATCHED_SHARE = 0.012
 """Two views overlap from this share of common points on. docs/log.md (2026-11-28) has the
 measurement: 3 of 378 sets of overlapping photos are split, and lose 4 of 1,795 views; of 370 sets
 with an odd view 358 are found."""
+CONFIRMED_SHARE = 0.035
+"""Solved cameras of two views are sure from this share of common points on that fit them; from
+MATCHED_SHARE on they may be right. docs/log.md (2026-11-29) has the measurement."""
 FEATURELESS_SHARE = 0.05
 """A photo with contrast in a smaller share of its pixels shows nothing: covered, dark,
 overexposed."""
@@ -47,7 +50,7 @@ def choose_matching_views(
         posed: Whether cameras were given.
     """
     views = range(len(names))
-    linked = _largest_component(points, len(names))
+    linked = _linked(points, [pair.share for pair in points], MATCHED_SHARE, len(names))
     featureless = [view for view in views if float(contrast[view]) < FEATURELESS_SHARE]
     none_match = len(linked) == 1
     if none_match and len(featureless) == len(names):
@@ -69,11 +72,53 @@ def choose_matching_views(
     return ViewChoice(kept, notes)
 
 
-def _largest_component(points: Sequence[CommonPoints], count: int) -> list[int]:
-    """The largest set of linked views; of equally large ones that of the earliest view."""
+def choose_confirmed_views(
+    points: Sequence[CommonPoints], fits: Sequence[float], names: Sequence[str]
+) -> ViewChoice:
+    """The largest set of views whose solved cameras fit their matches, each with another's.
+
+    Views of different places that look alike have matches too, and the solver finds some camera for
+    them; but few of the matches fit it, as those with different views contradict each other. Such
+    views are left out. Where no two views are left all stay, because nothing tells which are wrong.
+
+    Args:
+        points: As in `choose_matching_views`.
+        fits: Share of each pair's points that fit the solved cameras.
+        names: Of the photos.
+    """
+    shares = [pair.share * fit for pair, fit in zip(points, fits, strict=True)]
+    kept = _linked(points, shares, MATCHED_SHARE, len(names))
+    if len(names) == 1 or not points:
+        return ViewChoice(list(range(len(names))), [])
+    if len(kept) == 1:
+        return ViewChoice(list(range(len(names))), [_guess_note(_listed(names, range(len(names))))])
+    sure = _linked(points, shares, CONFIRMED_SHARE, len(names))
+    left_out = [view for view in range(len(names)) if view not in kept]
+    unsure = [view for view in kept if view not in sure] if len(sure) > 1 else kept
+    notes = []
+    if left_out:
+        notes.append(
+            "left out, as no cameras fit their matches with the other photos (too far apart, or "
+            f"of things that repeat): {_listed(names, left_out)}"
+        )
+    if unsure:
+        notes.append(
+            f"the cameras of these photos may be wrong, as few matches fit them: "
+            f"{_listed(names, unsure)}; take photos in smaller steps"
+        )
+    return ViewChoice(kept, notes)
+
+
+def _linked(
+    points: Sequence[CommonPoints], shares: Sequence[float], least: float, count: int
+) -> list[int]:
+    """The largest set of views linked by pairs with at least such a share, in rising order.
+
+    Of equally large sets that of the earliest view.
+    """
     component = list(range(count))
-    for pair in points:
-        if pair.share >= MATCHED_SHARE:
+    for pair, share in zip(points, shares, strict=True):
+        if share >= least:
             old, new = component[pair.view_b], component[pair.view_a]
             component = [new if each == old else each for each in component]
     largest = max(component, key=lambda each: (component.count(each), -component.index(each)))
@@ -97,6 +142,13 @@ def _unchecked_note(listed: str, posed: bool) -> str:
     return (
         f"no two of these photos match: {listed}; their relative cameras are a guess: take photos "
         "that share half of what they show"
+    )
+
+
+def _guess_note(listed: str) -> str:
+    return (
+        f"no cameras fit the matches of these photos: {listed}; their relative cameras are a "
+        "guess: take photos that share half of what they show"
     )
 
 

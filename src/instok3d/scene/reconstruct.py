@@ -82,8 +82,9 @@ def reconstruct(
     whole objects (`instok3d.scene.clean_up`), which is not in the paper; `refine=0` and
     `clean_up=False` leave them as the single forward pass gives them.
 
-    With the nano backbone (that of the default model) photos that match none of the others are left
-    out. The scene's warnings name them, and say if given cameras contradict the photos.
+    With the nano backbone (that of the default model) photos that match none of the others, or
+    whose matches fit no camera, are left out. The scene's warnings name them, and say which cameras
+    few matches confirm, or if given cameras contradict the photos.
 
     Same files, model and seed on the same machine, with as many threads, give the same scene.
 
