@@ -44,7 +44,7 @@ def test_the_object_alone_is_the_view_enlarged(scene: Scene):
     assert np.abs(enlarged - view).mean() > 24
 
 
-def test_in_the_photo_all_else_is_faded(scene: Scene):
+def test_in_the_photo_the_object_is_outlined_and_all_else_faded(scene: Scene):
     item = scene.objects[0]
     best = item.best_view
     assert best is not None
@@ -53,8 +53,14 @@ def test_in_the_photo_all_else_is_faded(scene: Scene):
     picture = object_in_photo(dark, whole)
     assert picture is not None
     own = item.sight.masks[item.visible_in.index(best.view)].mask().numpy()
+    beside = np.zeros_like(own)
+    beside[1:] |= own[:-1]
+    beside[:-1] |= own[1:]
+    beside[:, 1:] |= own[:, :-1]
+    beside[:, :-1] |= own[:, 1:]
     assert (picture[own] == 0).all()
-    assert (picture[~own] == 191).all()  # three quarters of the way to white
+    assert (picture[beside & ~own] == list(bytes.fromhex(item.color[1:]))).all()
+    assert (picture[~beside & ~own] == 191).all()  # three quarters of the way to white
 
 
 def test_of_a_scene_without_photos_there_is_none():

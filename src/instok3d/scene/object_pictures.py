@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image
+from scipy.ndimage import binary_dilation
 
 from instok3d.geometry.cameras import resize_intrinsics
 from instok3d.pictures import color_picture
@@ -65,23 +66,28 @@ def object_picture(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height
 
 
 def object_in_photo(scene: Scene, item: SceneObject) -> UInt8[np.ndarray, "height width 3"] | None:
-    """The same part of the photo, in which all but the pixels that the object wins is faded.
+    """The same part of the photo: the pixels that the object wins, outlined in its display colour.
 
-    None where no input view shows it.
+    All else is faded. None where no input view shows the object.
     """
     best = item.best_view
     if best is None:
         return None
-    photo = scene.photos[best.view].cpu().numpy()
-    faded = photo + FADED * (255.0 - photo)
-    own = _own_pixels(item, best, scene.height, scene.width)
-    mixed = np.where(own[..., None], photo, faded).round().astype(np.uint8)
     window = window_around(best, scene.height, scene.width)
     box = (window.left, window.top, window.left + window.width, window.top + window.height)
-    enlarged = Image.fromarray(mixed).resize(
-        (scene.width, scene.height), Image.Resampling.BICUBIC, box=box
-    )
-    return np.asarray(enlarged)
+    own = _own_pixels(item, best, scene.height, scene.width)
+
+    def enlarged(picture: np.ndarray, resampling: Image.Resampling) -> np.ndarray:
+        size = (scene.width, scene.height)
+        return np.asarray(Image.fromarray(picture).resize(size, resampling, box=box))
+
+    photo = enlarged(scene.photos[best.view].cpu().numpy(), Image.Resampling.BICUBIC)
+    inside = enlarged(own.astype(np.uint8), Image.Resampling.NEAREST) > 0
+    faded = (photo + FADED * (255.0 - photo)).round().astype(np.uint8)
+    picture = np.where(inside[..., None], photo, faded)
+    outline = np.asarray(binary_dilation(inside), dtype=bool) & ~inside
+    picture[outline] = list(bytes.fromhex(item.color[1:]))
+    return picture
 
 
 def _own_pixels(
