@@ -36,8 +36,8 @@ from instok3d.evaluation.query_rooms import (
     by_teacher,
     by_words,
     mask_vectors,
-    room_scene,
     room_truth,
+    scene_of_photos,
     word_vectors,
 )
 from instok3d.files import replacing
@@ -247,7 +247,7 @@ class Scenes:
     def of(self, room: RoomTruth) -> Scene:
         """The scene of a room's context photos."""
         if id(room) not in self._made:
-            self._made[id(room)] = room_scene(room, self._tokenizer, self.lifting)
+            self._made[id(room)] = scene_of_photos(room.images, self._tokenizer, self.lifting)
         return self._made[id(room)]
 
 

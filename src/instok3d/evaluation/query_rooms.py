@@ -118,18 +118,27 @@ def _of_things(truth: RoomTruth, vectors: Float[Tensor, "thing channel"]) -> Roo
 
 
 @torch.no_grad()
-def room_scene(truth: RoomTruth, tokenizer: Tokenizer, lifting: Lifting | None = None) -> Scene:
-    """The scene of a model that sees the bare context photos, with whole objects.
+def scene_of_photos(
+    images: Float[Tensor, "view 3 height width"],
+    tokenizer: Tokenizer,
+    lifting: Lifting | None = None,
+) -> Scene:
+    """The scene of a model that sees bare photos, with whole objects.
 
     Its Gaussians are not refined; its semantics are fitted to the photos, as `reconstruct` does.
+
+    Args:
+        images: sRGB in [0, 1].
+        tokenizer: In eval mode.
+        lifting: Of its semantics; None leaves them out.
     """
-    views = Views(images=truth.images[None])
+    views = Views(images=images[None])
     features = None if lifting is None else lifting.features(views)
     lift = None
     if lifting is not None and features is not None:
         lift = lifting.of(tokenizer, views, features)
     tokens = tokenizer(views, None, lift)
-    photos = (255 * truth.images).round().to(torch.uint8).permute(0, 2, 3, 1)
+    photos = (255 * images).round().to(torch.uint8).permute(0, 2, 3, 1)
     height, width = photos.shape[1:3]
     names = [
         SceneView(f"{index}.png", "0" * 64, fit_pixels(height, width, height, width))

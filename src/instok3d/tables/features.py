@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -105,8 +106,8 @@ def measure_own(
     """
     folder.mkdir(parents=True, exist_ok=True)
     (training,) = asked.trainings
-    teacher = open_teacher(work.schedule.teacher)
-    method = feature_method(work, trained_model(work, training).path, teacher)
+    teacher = _teacher(work.schedule.teacher)
+    method = feature_method(work, trained_model(work, training).path)
     phrases = teacher.text(PHRASES)
     started = time.monotonic()
     shown: dict[str, int] = {}
@@ -129,12 +130,16 @@ def measure_own(
     return figures, time.monotonic() - started
 
 
-def feature_method(work: Work, path: Path, teacher: Teacher | None = None) -> FeatureMethod:
+def feature_method(work: Work, path: Path) -> FeatureMethod:
     """The model of one pass of a file, which sees bare photos."""
     model = load_feature_model(path)
-    if teacher is None and model.takes_features:
-        teacher = open_teacher(work.schedule.teacher)
+    teacher = _teacher(work.schedule.teacher) if model.takes_features else None
     return FeatureMethod(model, "predicted", teacher)
+
+
+@lru_cache(maxsize=1)
+def _teacher(text: str) -> Teacher:
+    return open_teacher(text)
 
 
 def _samples(work: Work, asked: Asked, title: str) -> Iterator[tuple[Sample, int | None]]:

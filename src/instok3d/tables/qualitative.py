@@ -7,12 +7,14 @@ from instok3d.files import replacing
 from instok3d.pictures import contact_sheet, titled_rows
 from instok3d.tables.definitions import Row
 from instok3d.tables.features import picture_name
+from instok3d.tables.manipulation import TITLES, Picture
 from instok3d.tables.picture_files import read_picture
 from instok3d.tables.work import PICTURED
 
 FIGURES = {1: "figure3_reconstruction", 2: "figure5_instances"}
 """Of the views of a table; Table 1 has FEATURE_FIGURE too."""
 FEATURE_FIGURE = "figure4_features"
+EDIT_FIGURE = "figure6_manipulation"
 
 
 def write_figures(
@@ -56,14 +58,21 @@ def write_figures(
     return written
 
 
+def write_edits(folder: Path, rows: Sequence[Sequence[Picture]]) -> list[Path]:
+    """The figure of edits, from rows of `manipulation.edited_scenes`; none without a row."""
+    return [_written(folder / f"{EDIT_FIGURE}.png", rows, TITLES)] if rows else []
+
+
 def _sheet(path: Path, columns: Sequence[tuple[str, Path, str]], scenes: range) -> Path:
     rows = [
         [read_picture(place / f"{scene:05d}_{name}.png") for _, place, name in columns]
         for scene in scenes
     ]
-    sheet = contact_sheet(
-        titled_rows(rows, [title for title, _, _ in columns]), columns=len(columns)
-    )
+    return _written(path, rows, [title for title, _, _ in columns])
+
+
+def _written(path: Path, rows: Sequence[Sequence[Picture]], titles: Sequence[str]) -> Path:
+    sheet = contact_sheet(titled_rows(rows, titles), columns=len(titles))
     with replacing(path) as part:
         sheet.save(part, format="PNG")
     return path

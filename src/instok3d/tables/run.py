@@ -6,17 +6,22 @@ from pathlib import Path
 
 from instok3d.files import replacing, write_json
 from instok3d.locking import alone_in, remove_leftovers
+from instok3d.model.files import load_model
 from instok3d.progress import StatusLine, format_duration
 from instok3d.tables.cells import asked_of, cell_path
 from instok3d.tables.definitions import Table
 from instok3d.tables.filled import FilledTable, as_json, as_latex, as_markdown, filled_row
+from instok3d.tables.manipulation import Picture, edited_scenes
 from instok3d.tables.measuring import measure
 from instok3d.tables.plan import TablesPlan, make_plan
-from instok3d.tables.qualitative import write_figures
-from instok3d.tables.trained import train_model
-from instok3d.tables.work import Work
+from instok3d.tables.qualitative import write_edits, write_figures
+from instok3d.tables.trained import train_model, trained_model
+from instok3d.tables.trainings import OURS
+from instok3d.tables.work import PICTURED, Work
 
 LOCK = ".lock"
+EDITED = 2
+"""The table whose scenes the figure of edits shows."""
 
 
 def make_tables(work: Work, tables: Sequence[Table], *, resume: bool = False) -> list[Path]:
@@ -83,12 +88,22 @@ def write_table(work: Work, table: Table) -> list[Path]:
     texts = {"md": as_markdown(filled), "tex": as_latex(filled)}
     value = as_json(filled)
     figures = write_figures(work.folder, table.number, folders, len(_test_names(work, table)))
+    if table.number == EDITED:
+        figures += write_edits(work.folder, _edits(work, table))
     stem = work.folder / f"table{table.number}"
     for suffix, text in texts.items():
         with replacing(stem.with_suffix(f".{suffix}")) as part:
             part.write_text(text)
     write_json(stem.with_suffix(".json"), value)
     return [stem.with_suffix(each) for each in (".md", ".tex", ".json")] + figures
+
+
+def _edits(work: Work, table: Table) -> list[list[Picture]]:
+    """Of the scenes that the other figures show, by OURS."""
+    model = load_model(trained_model(work, OURS).path)
+    count = min(PICTURED, len(_test_names(work, table)))
+    scenes = [work.scene("test", table.views, number, None) for number in range(count)]
+    return edited_scenes(model, [each.samples[0].context.images[0] for each in scenes])
 
 
 def _test_names(work: Work, table: Table) -> Sequence[str]:
