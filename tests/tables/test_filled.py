@@ -43,6 +43,10 @@ def test_the_best_rows_are_bold_and_upper_bounds_are_not_compared():
     assert lines[5] == "| feed-forward | two | **20.5** | **0.25** | 0.3 |"
     assert lines[6] == "| feed-forward | all (upper bound) | 30.0 | 0.25 | 0.3 |"
     assert filled(row("alone")).best() == set()
+    seen = row("sees the target", psnr=40.0)
+    seen = replace(seen, row=replace(seen.row, compared=False))
+    assert filled(row("one"), row("two", psnr=20.0), seen).best() >= {(0, 0)}
+    assert not any(number == 2 for number, _ in filled(row("one"), row("two"), seen).best())
 
 
 def test_every_row_says_where_it_comes_from():

@@ -1,12 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from instok3d.backbones.registry import build_backbone
 from instok3d.model.tokenizer import Tokenizer
+from instok3d.scene.visibility import BestView, Sight
 from instok3d.tables import manipulation
 from instok3d.tables.manipulation import TITLES, edited_scenes
 from instok3d.tables.trainings import QUICK_BACKBONE, QUICK_SIZES
-from made_scene import HEIGHT, WIDTH, made_scene, made_tokens
+from made_scene import HEIGHT, WIDTH, made_empty_scene, made_scene, made_tokens
 
 PHOTOS = torch.zeros(2, 3, HEIGHT, WIDTH)
 
@@ -20,6 +23,7 @@ def rows_of(monkeypatch, *scenes) -> list:
 
 def test_edits_change_the_object_and_nothing_elsewhere(monkeypatch):
     scene = made_scene(made_tokens())
+    monkeypatch.setattr(manipulation, "LEAST_PIXELS", 1)
     (row,) = rows_of(monkeypatch, scene)
     assert len(row) == len(TITLES)
     photo, rendered, alone, removed, moved, inserted = (each.astype(int) for each in row)
@@ -43,5 +47,20 @@ def test_edits_change_the_object_and_nothing_elsewhere(monkeypatch):
 
 def test_no_room_and_rooms_without_a_thing_give_no_row(monkeypatch):
     assert rows_of(monkeypatch) == []
+    assert rows_of(monkeypatch, made_empty_scene()) == []
     monkeypatch.setattr(manipulation, "MOST", 0.0)
     assert rows_of(monkeypatch, made_scene(made_tokens())) == []
+
+
+def test_the_largest_thing_that_no_border_cuts_is_chosen(monkeypatch):
+    monkeypatch.setattr(manipulation, "LEAST_PIXELS", 1)
+    monkeypatch.setattr(manipulation, "MOST", 1.0)
+    scene = made_scene(made_tokens())
+    first, second = scene.objects
+    cut, whole = BestView(0, (0, 3, 9, 9), 40), BestView(0, (1, 1, 9, 9), 20)
+    scene = replace(scene, objects=(
+        replace(first, sight=Sight((0,), cut)), replace(second, sight=Sight((0,), whole)),
+    ))  # fmt: skip
+    assert manipulation._largest_thing(scene) == scene.objects[1]
+    monkeypatch.setattr(manipulation, "LEAST_PIXELS", 21)
+    assert manipulation._largest_thing(scene) is None

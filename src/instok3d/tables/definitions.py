@@ -86,6 +86,8 @@ class Row:
     """Columns that the method cannot have; any other figure that is missing is an error."""
     pictured: bool = True
     """Whether the figures have a column of it, as the paper's have of such a row."""
+    compared: bool = True
+    """With the others for what is best; not where it sees the photo that the others predict."""
     upper_bound: bool = False
     """Given more than a photo: not compared with the others for what is best."""
 
@@ -150,7 +152,7 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
     each = (
         Table(1, "Reconstruction and feature lifting with 2 context views", 2,
               (*SOURCE, *TARGET, *PICTURES, *cost), (
-            Row("2D encoder (LSeg's place)", features=ENCODER, pictured=False,
+            Row("2D encoder (LSeg's place)", features=ENCODER, pictured=False, compared=False,
                 without=frozenset({"stored"})),
             Row("LSM style", OnePass(LSM), OWN),
             Row("Uni3R style", OnePass(UNI3R), OWN),

@@ -75,7 +75,7 @@ class FilledTable:
             rivals = [
                 number
                 for number, row in enumerate(self.rows)
-                if row.row.scenes == kind and not row.row.upper_bound
+                if row.row.scenes == kind and row.row.compared and not row.row.upper_bound
             ]
             for place, column in enumerate(self.table.columns):
                 known = [(v, n) for n in rivals if (v := values[n][place]) is not None]

@@ -17,6 +17,8 @@ from instok3d.scene.scene import Scene
 TITLES = ("photo", "rendered", "object alone", "removed", "moved", "inserted")
 MOST = 0.2
 """Of a picture: what covers more of its best view is a wall or a floor, not a thing to move."""
+LEAST_PIXELS = 64
+"""Smaller things would hardly be seen in the figure."""
 AWAY = 0.8
 """Of an object's length: how far it is moved, and how far away another one is put."""
 
@@ -48,13 +50,18 @@ def edited_scenes(
 
 
 def _largest_thing(scene: Scene) -> SceneObject | None:
-    """The object that covers most of a view and not more than MOST of it; None without one."""
-    pixels = scene.height * scene.width
-    things = [
-        (item.best_view.pixels, -item.id, item)
-        for item in scene.objects
-        if item.best_view is not None and item.best_view.pixels <= MOST * pixels
-    ]
+    """The object that covers most of a view that shows it whole; None without one.
+
+    It covers no more than MOST of the view; what a border cuts is a part, mostly of a wall.
+    """
+    things = []
+    for item in scene.objects:
+        if (best := item.best_view) is None:
+            continue
+        x0, y0, x1, y1 = best.bbox
+        is_whole = x0 > 0 and y0 > 0 and x1 < scene.width and y1 < scene.height
+        if is_whole and LEAST_PIXELS <= best.pixels <= MOST * scene.height * scene.width:
+            things.append((best.pixels, -item.id, item))
     return max(things)[2] if things else None
 
 
