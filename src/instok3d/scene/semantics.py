@@ -7,7 +7,6 @@ from types import MappingProxyType
 
 import torch
 from jaxtyping import Float, Int
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn import functional
 
@@ -209,6 +208,9 @@ def _in_order_of_first(
     """Shared features of groups in the order in which they are most alike the first group's."""
     if one.shared.shape[1] == 1:
         return one
+    # Imported here: it takes a fifth of a second, and only merges need it.
+    from scipy.optimize import linear_sum_assignment
+
     shared, mixing = one.shared.clone(), one.mixing.clone()
     directions = functional.normalize(one.shared[list(groups)], dim=2)
     for group, own in zip(groups[1:], directions[1:], strict=True):

@@ -11,7 +11,6 @@ from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
-from scipy.optimize import isotonic_regression
 from torch import Tensor
 from torch.nn import functional
 
@@ -169,6 +168,9 @@ def naming_threshold(
     """
     if not len(scores):
         raise ValueError("no object to choose a threshold by")
+    # Imported here: it takes a fifth of a second, and reading a scene fits nothing.
+    from scipy.optimize import isotonic_regression
+
     order = scores.argsort(stable=True)
     likely = isotonic_regression(right[order].double().numpy()).x
     good = (likely >= share).nonzero()[0]
