@@ -37,12 +37,13 @@ def test_other_values_are_gathered_by_the_same_weights(rng):
     tokens, context, values = (torch.randn(2, n, WIDTH, generator=rng) for n in (5, 7, 7))
     # The weights show themselves in values that are one for one source alone.
     weights = torch.stack([
-        attention.gather_other(tokens, context, each.expand(2, 7, WIDTH))[..., ::8]
+        attention.forward_with(tokens, context, each.expand(2, 7, WIDTH))[1][..., ::8]
         for each in torch.eye(7)[..., None]
     ])  # fmt: skip
     torch.testing.assert_close(weights.sum(0), torch.ones(2, 5, 2))
     expected = torch.einsum("sbth,bshc->bthc", weights, values.unflatten(-1, (2, 8)))
-    found = attention.gather_other(tokens, context, values)
+    own, found = attention.forward_with(tokens, context, values)
+    assert torch.equal(own, attention(tokens, context))
     torch.testing.assert_close(found, expected.flatten(2), atol=1e-6, rtol=1e-5)
 
 
@@ -52,8 +53,9 @@ def test_with_the_maps_of_the_decoder_the_stream_is_the_decoder(rng, self_attent
     stream = SemanticStream(FEATURES, frozen)
     own_maps(stream, frozen)
     seeds, context = (torch.randn(1, n, WIDTH, generator=rng) for n in (5, 9))
-    lifted = stream(frozen, seeds, context, context)
-    torch.testing.assert_close(lifted, frozen(seeds, context), atol=1e-6, rtol=1e-5)
+    tokens, lifted = stream(frozen, seeds, context, context)
+    assert torch.equal(tokens, frozen(seeds, context))
+    torch.testing.assert_close(lifted, tokens, atol=1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("self_attention", [False, True])
@@ -63,7 +65,9 @@ def test_the_stream_learns_and_the_decoder_stays(rng, self_attention):
     seeds = torch.randn(1, 5, WIDTH, generator=rng, requires_grad=True)
     context = torch.randn(1, 9, WIDTH, generator=rng, requires_grad=True)
     features = torch.randn(1, 9, FEATURES, generator=rng, requires_grad=True)
-    stream(frozen, seeds, context, features).square().sum().backward()
+    tokens, lifted = stream(frozen, seeds, context, features)
+    assert not tokens.requires_grad
+    lifted.square().sum().backward()
     assert all(p.grad is not None and p.grad.any() for p in stream.parameters())
     assert all(p.grad is None for p in frozen.parameters())
     assert seeds.grad is context.grad is None
@@ -75,8 +79,8 @@ def test_anchors_keep_their_order_and_no_anchor_is_no_trouble(rng):
     stream = SemanticStream(FEATURES, frozen)
     seeds, context = (torch.randn(1, n, WIDTH, generator=rng) for n in (5, 9))
     features = torch.randn(1, 9, FEATURES, generator=rng)
-    lifted = stream(frozen, seeds, context, features)
+    _, lifted = stream(frozen, seeds, context, features)
     order, shuffled = torch.randperm(5, generator=rng), torch.randperm(9, generator=rng)
-    again = stream(frozen, seeds[:, order], context[:, shuffled], features[:, shuffled])
+    _, again = stream(frozen, seeds[:, order], context[:, shuffled], features[:, shuffled])
     torch.testing.assert_close(again, lifted[:, order], atol=1e-5, rtol=1e-4)
-    assert stream(frozen, seeds[:, :0], context, features).shape == (1, 0, WIDTH)
+    assert stream(frozen, seeds[:, :0], context, features)[1].shape == (1, 0, WIDTH)

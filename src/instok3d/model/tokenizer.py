@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.model.anchors import AnchorDecoder, AnchorPlacement
@@ -90,10 +89,11 @@ Gaussians within 0.1 m of their anchor along each axis and no larger than 0.3 m.
 class Lift(Protocol):
     """Gathers features of the patches into the anchors beside D_anchor (Sec. 3.3)."""
 
-    def __call__(
-        self, decoder: Decoder, seeds: Anchors, context: Context
-    ) -> Float[Tensor, "batch anchor channel"]:
-        """Anchor semantic tokens of what D_anchor decodes."""
+    def __call__(self, decoder: Decoder, seeds: Anchors, context: Context) -> Anchors:
+        """The anchors as D_anchor decodes them, without a gradient, and what is lifted into them.
+
+        Both in one pass, because they share their attention weights.
+        """
         ...
 
     def cut(self, scene: int, window: Sequence[int]) -> "Lift":
@@ -174,9 +174,10 @@ class Tokenizer(nn.Module):
         """
         context = self.fuse(views, seen)  # X: one token per patch of every view
         seeds = self.place(context)  # a, A0: farthest points (Eq. 1)
-        anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
-        if lift is not None:
-            anchors = replace(anchors, lifted=lift(self.anchor_decoder.decoder, seeds, context))
+        if lift is None:
+            anchors = self.anchor_decoder(seeds, context)  # A (Eq. 2)
+        else:
+            anchors = lift(self.anchor_decoder.decoder, seeds, context)
         groups = self.group_decoder(anchors)  # G (Eq. 2)
         assignment = self.assign(anchors.tokens, groups)  # pi (Eq. 3)
         head = self.gaussian_head if draw else self.gaussian_head.no_gaussians

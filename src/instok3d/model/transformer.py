@@ -32,35 +32,46 @@ class Attention(nn.Module):
         context: Float[Tensor, "batch source channel"],
     ) -> Float[Tensor, "batch token channel"]:
         """What each token gathers from the context (for self-attention, from the tokens)."""
-        key, value = self.key_value(context).unflatten(-1, (2, -1, self.head_size)).unbind(-3)
-        return self.out(self._gather(tokens, key, value))
+        return self.out(_gather(*self._heads(tokens, context)))
 
-    def gather_other(
+    def forward_with(
         self,
         tokens: Float[Tensor, "batch token channel"],
         context: Float[Tensor, "batch source channel"],
-        values: Float[Tensor, "batch source channel"],
-    ) -> Float[Tensor, "batch token channel"]:
-        """Other values of the context, gathered by the same weights, head by head.
+        others: Float[Tensor, "batch source channel"],
+    ) -> tuple[Float[Tensor, "batch token channel"], Float[Tensor, "batch token channel"]]:
+        """As `forward`, and other values of the context gathered by the same weights.
 
-        Neither this layer's own values nor its output map take part.
+        Neither this layer's own values nor its output map take part in the second. It is
+        differentiable in the other values alone, the first not at all.
         """
-        key = functional.linear(context, self.key_value.weight.chunk(2)[0])
-        heads = (each.unflatten(-1, (-1, self.head_size)) for each in (key, values))
-        return self._gather(tokens, *heads)
+        with torch.no_grad():
+            query, key, value = self._heads(tokens, context)
+            own = self.out(_gather(query, key, value))
+        return own, _gather(query, key, others.unflatten(-1, (-1, self.head_size)))
 
-    def _gather(
+    def _heads(
         self,
         tokens: Float[Tensor, "batch token channel"],
-        key: Float[Tensor, "batch source head size"],
-        value: Float[Tensor, "batch source head size"],
-    ) -> Float[Tensor, "batch token channel"]:
+        context: Float[Tensor, "batch source channel"],
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Queries of the tokens, keys and values of the context: [batch row head size]."""
+        key, value = self.key_value(context).unflatten(-1, (2, -1, self.head_size)).unbind(-3)
         query = self.query(tokens).unflatten(-1, (-1, self.head_size))
-        query, key = self.query_norm(query).to(value.dtype), self.key_norm(key).to(value.dtype)
-        gathered = functional.scaled_dot_product_attention(
-            query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
-        )
-        return gathered.transpose(1, 2).flatten(2)
+        return self.query_norm(query), self.key_norm(key), value
+
+
+def _gather(
+    query: Float[Tensor, "batch token head size"],
+    key: Float[Tensor, "batch source head size"],
+    value: Float[Tensor, "batch source head size"],
+) -> Float[Tensor, "batch token channel"]:
+    """Values gathered head by head, the heads side by side."""
+    query, key = query.to(value.dtype), key.to(value.dtype)
+    gathered = functional.scaled_dot_product_attention(
+        query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
+    )
+    return gathered.transpose(1, 2).flatten(2)
 
 
 class DecoderLayer(nn.Module):

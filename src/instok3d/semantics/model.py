@@ -22,11 +22,11 @@ class PatchLift:
     stream: SemanticStream
     features: Float[Tensor, "batch view patch feature"]
 
-    def __call__(
-        self, decoder: Decoder, seeds: Anchors, context: Context
-    ) -> Float[Tensor, "batch anchor channel"]:
-        """Anchor semantic tokens; the context's patches are those of all views, in order."""
-        return self.stream(decoder, seeds.tokens, context.tokens, self.features.flatten(1, 2))
+    def __call__(self, decoder: Decoder, seeds: Anchors, context: Context) -> Anchors:
+        """Decoded anchors with their semantic tokens; the context has the patches of all views."""
+        features = self.features.flatten(1, 2)
+        tokens, lifted = self.stream(decoder, seeds.tokens, context.tokens, features)
+        return replace(seeds, tokens=tokens, lifted=lifted)
 
     def cut(self, scene: int, window: Sequence[int]) -> "PatchLift":
         """The features of one scene's views of a window."""

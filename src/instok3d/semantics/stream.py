@@ -10,9 +10,9 @@ from instok3d.model.transformer import Decoder, DecoderLayer
 class SemanticStream(nn.Module):
     """Anchor semantic tokens: what the anchors would gather if patches carried 2D features.
 
-    The main stream of a frozen decoder is replayed. In each of its layers the semantic stream uses
-    the same attention weights, with values, outputs and an MLP of its own, as C3G does it (the
-    paper's reference for "reuse").
+    It runs beside the main stream of a frozen decoder. In each of its layers it uses the same
+    attention weights, with values, outputs and an MLP of its own, as C3G does it (the paper's
+    reference for "reuse").
     """
 
     def __init__(self, feature_channels: int, decoder: Decoder, *, mlp_ratio: int = 4):
@@ -39,8 +39,10 @@ class SemanticStream(nn.Module):
         seeds: Float[Tensor, "batch anchor channel"],
         context: Float[Tensor, "batch patch channel"],
         features: Float[Tensor, "batch patch feature"],
-    ) -> Float[Tensor, "batch anchor channel"]:
-        """Anchor semantic tokens, layer-normalised. Not differentiable in the main stream.
+    ) -> tuple[Float[Tensor, "batch anchor channel"], Float[Tensor, "batch anchor channel"]]:
+        """Anchor tokens as the decoder gives them, and anchor semantic tokens, layer-normalised.
+
+        Not differentiable in the main stream, whose tokens have no gradient.
 
         Args:
             decoder: D_anchor, frozen.
@@ -52,10 +54,10 @@ class SemanticStream(nn.Module):
         context = context.detach()
         semantic = self.start(tokens)
         for frozen, own in zip(decoder.each_layer(), self.layers, strict=True):
-            semantic = own(frozen, tokens, context, sources, semantic)
-            with torch.no_grad():
-                tokens = frozen(tokens, context)
-        return self.norm(semantic)
+            tokens, semantic = own(frozen, tokens, context, sources, semantic)
+        with torch.no_grad():
+            tokens = decoder.norm(tokens)
+        return tokens, self.norm(semantic)
 
 
 class SemanticLayer(nn.Module):
@@ -80,18 +82,23 @@ class SemanticLayer(nn.Module):
         context: Float[Tensor, "batch patch channel"],
         sources: Float[Tensor, "batch patch channel"],
         semantic: Float[Tensor, "batch anchor channel"],
-    ) -> Float[Tensor, "batch anchor channel"]:
-        """The semantic tokens after the layer; `tokens` are the main stream's before it."""
-        normed = frozen.cross_norm(tokens)
-        gathered = frozen.cross_attention.gather_other(normed, context, self.cross_value(sources))
-        semantic = semantic + self.cross_out(gathered)
+    ) -> tuple[Float[Tensor, "batch anchor channel"], Float[Tensor, "batch anchor channel"]]:
+        """Tokens of the main stream and semantic tokens after the layer, given those before it."""
+        with torch.no_grad():
+            normed = frozen.cross_norm(tokens)
+        gathered, other = frozen.cross_attention.forward_with(
+            normed, context, self.cross_value(sources)
+        )
+        tokens, semantic = tokens + gathered, semantic + self.cross_out(other)
         if frozen.self_norm is not None and frozen.self_attention is not None:
             assert self.self_norm is not None
             assert self.self_value is not None
             assert self.self_out is not None
-            tokens = tokens + frozen.cross_attention(normed, context)
-            normed = frozen.self_norm(tokens)
+            with torch.no_grad():
+                normed = frozen.self_norm(tokens)
             values = self.self_value(self.self_norm(semantic))
-            gathered = frozen.self_attention.gather_other(normed, normed, values)
-            semantic = semantic + self.self_out(gathered)
-        return semantic + self.mlp(semantic)
+            gathered, other = frozen.self_attention.forward_with(normed, normed, values)
+            tokens, semantic = tokens + gathered, semantic + self.self_out(other)
+        with torch.no_grad():
+            tokens = tokens + frozen.mlp(tokens)
+        return tokens, semantic + self.mlp(semantic)
