@@ -20,7 +20,7 @@ MOST = 0.2
 LEAST_PIXELS = 64
 """Smaller things would hardly be seen in the figure."""
 AWAY = 0.8
-"""Of an object's length: how far it is moved, and how far away another one is put."""
+"""Of an object's length: how far into the picture it is moved, and another one is put."""
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -73,9 +73,10 @@ def _edited(
     guest: SceneObject,
 ) -> list[Picture]:
     assert item.best_view is not None
-    view = item.best_view.view
+    view, (x0, _, x1, _) = item.best_view.view, item.best_view.bbox
     to_the_right = scene.cameras.cam_from_world[view, 0, :3].double()
-    step = AWAY * max(item.obb.size) * to_the_right
+    inwards = 1 if x0 + x1 < scene.width else -1
+    step = inwards * AWAY * max(item.obb.size) * to_the_right
     center = torch.tensor(base_of_object(scene, item), dtype=torch.float64)
 
     def drawn(shown: Scene, only: int | None = None) -> Picture:
@@ -88,5 +89,5 @@ def _edited(
         drawn(scene, only=item.id),
         drawn(scene.remove(item.id)),
         drawn(scene.move(item.id, by=step.tolist())),
-        drawn(scene.insert(other, guest.id, at=(center - step).tolist(), scale=1.0)),
+        drawn(scene.insert(other, guest.id, at=(center + step).tolist(), scale=1.0)),
     ]
