@@ -33,8 +33,11 @@ class Patch:
     """Just before the wall, so that it covers it."""
 
 
-def cleaned_picture(*patches: Patch) -> tuple[Cleaned, torch.Tensor]:
-    """The picture of the patches, later ones in front, cleaned; and the owner of each pixel."""
+def cleaned_picture(*patches: Patch, views: int = 1) -> tuple[Cleaned, torch.Tensor]:
+    """The picture of the patches, later ones in front, cleaned; and the owner of each pixel.
+
+    All views show the same.
+    """
     depth, color = torch.full((SIDE, SIDE), 2.0), torch.tensor(GREY).repeat(SIDE, SIDE, 1)
     pi = torch.tensor(WALL).repeat(SIDE, SIDE, 1)
     for each in patches:
@@ -51,7 +54,7 @@ def cleaned_picture(*patches: Patch) -> tuple[Cleaned, torch.Tensor]:
     )  # fmt: skip
     tokens = SceneTokens(means, torch.zeros(count, 2), torch.zeros(3, 2), pi.view(count, 4))
     intrinsics = torch.tensor([[20.0, 0, SIDE / 2], [0, 20, SIDE / 2], [0, 0, 1]])
-    cameras = Cameras(torch.eye(4)[None], intrinsics[None])
+    cameras = Cameras(torch.eye(4).repeat(views, 1, 1), intrinsics.repeat(views, 1, 1))
     done = cleaned(gaussians, tokens, cameras, SIDE, SIDE, near=0.05, far=100.0)
     owner = done.tokens.assignment.argmax(dim=1)[done.gaussians.anchor_index]
     return done, owner.view(SIDE, SIDE)
@@ -96,6 +99,46 @@ def test_sure_halves_stay_two():
         Patch((6, 18), (12, 19), [0.02, 0.03, 0.93, 0.02], color=RED),
     )
     assert done.record.joined == 0
+
+
+def test_of_many_views_more_evidence_is_asked_for():
+    crumb = Patch((8, 13), (8, 13), [0.28, 0.62, 0.05, 0.05])
+    assert cleaned_picture(crumb, views=4)[0].record.joined == 1
+    done, owner = cleaned_picture(crumb, views=5)
+    assert done.record.joined == 0
+    assert (owner[8:13, 8:13] == 1).all()
+    assert cleaned_picture(Patch((8, 13), (8, 13), [0.38, 0.55, 0.02, 0.05]), views=5)[
+        0
+    ].record.joined
+
+
+UNSURE = [0.12, 0.47, 0.23, 0.18]
+"""A quarter of its map is the wall's: too little for a group to join another one."""
+
+
+def test_a_small_group_that_is_unsure_joins_what_it_lies_on():
+    done, owner = cleaned_picture(Patch((8, 10), (8, 11), UNSURE))
+    assert done.record == CleanUpRecord(joined=1, moved=0)
+    assert (owner == 0).all()
+    assert (done.tokens.assignment[:, 1] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "patch",
+    [
+        Patch((8, 10), (8, 11), [0.17, 0.6, 0.05, 0.18]),
+        Patch((8, 14), (8, 14), UNSURE),
+        Patch((8, 10), (8, 11), UNSURE, color=RED),
+        Patch((8, 10), (8, 11), UNSURE, depth=1.4),
+        Patch((8, 10), (8, 11), [0.05, 0.47, 0.3, 0.18]),
+    ],
+    ids=["sure", "larger", "of another colour", "with a gap behind it", "without its map"],
+)
+def test_other_small_groups_stay(patch: Patch):
+    done, owner = cleaned_picture(patch)
+    assert done.record.joined == 0
+    rows, columns = slice(*patch.rows), slice(*patch.columns)
+    assert (owner[rows, columns] == 1).all()
 
 
 def test_a_chain_of_crumbs_ends_in_the_largest():

@@ -22,8 +22,17 @@ from instok3d.types import Cameras, Gaussians
 
 JOIN_SCORE = 0.4
 """From which a group joins a larger one (`_affinity`). Tuned on rooms, docs/log.md."""
+JOIN_SCORE_OF_MANY, MANY_VIEWS = 0.55, 5
+"""The same from so many views on: the assignment is then a mean over windows of views, in which
+neighbours have more of each other's map."""
 PIECE_SCORE = 0.3
 """From which a loose piece of a group goes to another one."""
+CRUMB_SCORE = 0.2
+"""From which a crumb joins another group."""
+UNSURE = 0.5
+"""A crumb's own map, mean over the pixels that it wins, is below this."""
+CRUMB_SHARE = 0.0125
+"""Of the pixels of a view: a crumb wins no more in any view."""
 COLOR_RANGE = 0.4
 """Difference of mean colours, sRGB, at which two groups are never one thing."""
 MAIN_SHARE = 0.5
@@ -77,9 +86,10 @@ def cleaned(
 
     1. A group joins the larger one whose map is strong on its pixels, whose surface goes on there
        and whose colour is alike. A small thing that stands out, a cup on a table, stays.
-    2. Of what a group wins in a view, regions apart from its main part are loose pieces. Where the
+    2. A crumb, a small group that is unsure of its own pixels, joins another one on less evidence.
+    3. Of what a group wins in a view, regions apart from its main part are loose pieces. Where the
        map and the surface of a group around it say so, a piece is that group's.
-    3. A Gaussian whose visible weight lies mostly in the pixels of another group goes to it, to
+    4. A Gaussian whose visible weight lies mostly in the pixels of another group goes to it, to
        its nearest anchor: the loose pieces, and haloes at the rim of an object.
 
     Not differentiable.
@@ -100,14 +110,19 @@ def cleaned(
         views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
         return [_look(gaussians, assignment, v, height, width, near, far) for v in views]
 
-    assignment, joined = _joined(tokens.assignment, looked(tokens.assignment))
-    labels = _without_loose_pieces(looked(assignment) if joined else looked(tokens.assignment))
+    looks = looked(tokens.assignment)
+    assignment, joined = _joined(tokens.assignment, looks)
+    looks = looked(assignment) if joined else looks
+    assignment, crumbs = _without_crumbs(assignment, looks)
+    looks = looked(assignment) if crumbs else looks
+    labels = _without_loose_pieces(looks)
     moved = reassigned(
         gaussians, assignment, tokens.positions, cameras, height, width, near=near, far=far,
         winners=labels,
     )  # fmt: skip
     count = int((moved.anchor_index != gaussians.anchor_index).sum())
-    return Cleaned(moved, replace(tokens, assignment=assignment), CleanUpRecord(joined, count))
+    record = CleanUpRecord(joined + crumbs, count)
+    return Cleaned(moved, replace(tokens, assignment=assignment), record)
 
 
 def _look(
@@ -132,19 +147,46 @@ def _joined(
     assignment: Float[Tensor, "anchor column"], looks: Sequence[_Look]
 ) -> tuple[Float[Tensor, "anchor column"], int]:
     """The assignment with joined groups, and how many joined another one."""
-    groups = assignment.shape[1] - 1
-    shown = _shown(looks, [look.winners for look in looks], groups + 1)
-    score = _affinity(shown, torch.arange(groups + 1), shown.colors, mutual=True)
+    columns = assignment.shape[1]
+    shown = _shown(looks, [look.winners for look in looks], columns)
+    score = _affinity(shown, torch.arange(columns), shown.colors, mutual=True)
+    least = JOIN_SCORE_OF_MANY if len(looks) >= MANY_VIEWS else JOIN_SCORE
+    return _taken(assignment, shown.pixels, score.where(score > least, 0.0))
+
+
+def _without_crumbs(
+    assignment: Float[Tensor, "anchor column"], looks: Sequence[_Look]
+) -> tuple[Float[Tensor, "anchor column"], int]:
+    """The assignment with crumbs joined to other groups, and how many were."""
+    columns = assignment.shape[1]
+    shown = _shown(looks, [look.winners for look in looks], columns)
+    pixels = [look.winners.flatten().cpu().bincount(minlength=columns) for look in looks]
+    small = torch.stack(pixels).amax(dim=0) <= CRUMB_SHARE * looks[0].winners.numel()
+    crumbs = small & (shown.maps.diagonal() < UNSURE)
+    score = _affinity(shown, torch.arange(columns), shown.colors, mutual=False)
+    score[~crumbs], score[:, crumbs] = 0, 0
+    return _taken(assignment, shown.pixels, score.where(score > CRUMB_SCORE, 0.0))
+
+
+def _taken(
+    assignment: Float[Tensor, "anchor column"],
+    pixels: Float[Tensor, " column"],
+    score: Float[Tensor, "column column"],
+) -> tuple[Float[Tensor, "anchor column"], int]:
+    """The assignment where each group joins the larger one of its best score, and how many did.
+
+    The void, the last column, neither takes nor joins; nor is anything joined where the score is 0.
+    """
     # Larger groups take smaller ones, so that there is no circle; of equal ones the first takes.
-    order = (-shown.pixels).argsort(stable=True)
+    order = (-pixels).argsort(stable=True)
     rank = torch.empty_like(order)
-    rank[order] = torch.arange(groups + 1)
-    score[rank[None, :] >= rank[:, None]] = 0
-    score[groups], score[:, groups] = 0, 0  # the void neither takes nor joins
+    rank[order] = torch.arange(len(order))
+    score = score.masked_fill(rank[None, :] >= rank[:, None], 0)
+    score[-1], score[:, -1] = 0, 0
     best, target = score.max(dim=1)
     assignment, count = assignment.clone(), 0
     for group in reversed(order.tolist()):
-        if best[group] > JOIN_SCORE:
+        if best[group] > 0:
             assignment[:, target[group]] += assignment[:, group]
             assignment[:, group] = 0
             count += 1
