@@ -8,16 +8,15 @@ where a scene is made, on what its input views show; no network, no optimisation
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy import ndimage
 from torch import Tensor
 
 from instok3d.refinement.assignment import reassigned
 from instok3d.render import render
 from instok3d.scene.contacts import Contacts, find_contacts
 from instok3d.scene.record import CleanUpRecord, SceneTokens
+from instok3d.scene.regions import connected_regions
 from instok3d.types import Cameras, Gaussians
 
 JOIN_SCORE = 0.4
@@ -216,18 +215,18 @@ def _regions(
     winners: Int[Tensor, "height width"], *, first: int
 ) -> tuple[Int[Tensor, "height width"], list[int], list[bool]]:
     """Connected regions of one winner, numbered from `first`: their group, and if they are main."""
-    regions = torch.zeros_like(winners)
-    owners: list[int] = []
-    mains: list[bool] = []
-    for group in winners.unique().tolist():
-        marked = np.zeros(winners.shape, dtype=np.int32)
-        ndimage.label((winners == group).cpu().numpy(), output=marked)
-        number, count = torch.from_numpy(marked).to(winners), int(marked.max())
-        regions = torch.where(number > 0, number - 1 + first + len(owners), regions)
-        sizes = number.flatten().bincount(minlength=count + 1)[1:]
-        owners += [group] * count
-        mains += (sizes >= MAIN_SHARE * sizes.sum()).tolist()
-    return regions, owners, mains
+    # 1. The regions by their group, those of one group in reading order.
+    roots, region, sizes = connected_regions(winners).unique(
+        return_inverse=True, return_counts=True
+    )
+    order = winners.flatten()[roots].argsort(stable=True)
+    owner, sizes = winners.flatten()[roots[order]], sizes[order]
+    place = torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order))
+    # 2. A region is main if it holds MAIN_SHARE of its group's pixels.
+    group = owner.unique(return_inverse=True)[1]
+    whole = torch.zeros_like(sizes).index_add(0, group, sizes)
+    mains = sizes >= MAIN_SHARE * whole[group]
+    return first + place[region], owner.tolist(), mains.tolist()
 
 
 def _shown(

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from instok3d.geometry.camera_json import read_intrinsics, read_pose
@@ -76,6 +75,9 @@ def through(cameras: Cameras, frames: int) -> Cameras:
         cameras: At least one; with one alone all frames are that.
         frames: At least 1; the first and the last of two or more are the first and last camera.
     """
+    # Imported here: it takes a quarter of a second, and every picture of a scene needs this file.
+    from scipy.spatial.transform import Rotation, Slerp
+
     count = len(cameras.intrinsics)
     at = torch.linspace(0, count - 1, frames)
     before = at.floor().long().clamp_max(max(0, count - 2))
