@@ -118,3 +118,9 @@ def test_if_no_two_cameras_fit_all_views_stay_with_a_note():
 def test_one_photo_has_no_camera_to_confirm():
     choice = confirm([], [], 1)
     assert (choice.kept, choice.notes) == ([0], [])
+
+
+def test_photos_of_which_no_two_match_are_noted_once():
+    pairs = [pair(0, 1, MATCHED_SHARE / 2), pair(1, 2, 0.0)]
+    assert "a guess" in choose(pairs, 3).notes[0]
+    assert confirm(pairs, [1.0, 0.0], 3).notes == []

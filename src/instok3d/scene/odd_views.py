@@ -91,7 +91,11 @@ def choose_confirmed_views(
     if len(names) == 1 or not points:
         return ViewChoice(list(range(len(names))), [])
     if len(kept) == 1:
-        return ViewChoice(list(range(len(names))), [_guess_note(_listed(names, range(len(names))))])
+        everyone = list(range(len(names)))
+        matched = _linked(points, [pair.share for pair in points], MATCHED_SHARE, len(names))
+        if len(matched) == 1:  # no two match, which `choose_matching_views` says
+            return ViewChoice(everyone, [])
+        return ViewChoice(everyone, [_guess_note(_listed(names, everyone))])
     sure = _linked(points, shares, CONFIRMED_SHARE, len(names))
     left_out = [view for view in range(len(names)) if view not in kept]
     unsure = [view for view in kept if view not in sure] if len(sure) > 1 else kept
