@@ -51,6 +51,17 @@ def test_photos_of_any_size_are_looked_at_with_128_pixels(
     assert teacher.features(torch.rand(0, 3, *size)).shape == (0, 8, *cells)
 
 
+def test_a_mirror_image_has_the_mirrored_features(teacher: RoomTeacher):
+    image = torch.rand(1, 3, 32, 128)
+    found = teacher.features(image)
+    torch.testing.assert_close(teacher.features(image.flip(-1)), found.flip(-1))
+    large = functional.interpolate(image, (128, 512), mode="bilinear", align_corners=False)
+    with torch.no_grad():
+        one, other = teacher.predictor(large), teacher.predictor(large.flip(-1)).flip(-1)
+    assert not torch.allclose(one, other, atol=1e-3)
+    torch.testing.assert_close(teacher.features(large), (one + other) / 2)
+
+
 def test_a_crop_is_the_mean_direction_of_its_middle(teacher: RoomTeacher):
     image = torch.rand(3, 128, 128)
     directions = functional.normalize(teacher.features(image[None])[0], dim=0)

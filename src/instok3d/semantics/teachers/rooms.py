@@ -48,6 +48,9 @@ class RoomTeacher:
     ) -> Float[Tensor, "view channel row column"]:
         """A feature of each cell, half as many cells each way as pixels when seen at SIDE.
 
+        It is the mean of what the predictor says of the photo and of its mirror image, which is
+        right more often than either (docs/log.md).
+
         Args:
             images: sRGB in [0, 1], of any size; one view at a time is in memory.
         """
@@ -58,7 +61,13 @@ class RoomTeacher:
         if not len(images):
             rows, columns = (each // 2 for each in size)
             return images.new_zeros(0, self.channels, rows, columns)
-        return torch.cat([self.predictor(_resized(image[None], size)) for image in images])
+        return torch.cat([self._seen(_resized(image[None], size)) for image in images])
+
+    def _seen(
+        self, image: Float[Tensor, "1 3 height width"]
+    ) -> Float[Tensor, "1 channel row column"]:
+        found, mirrored = self.predictor(torch.cat([image, image.flip(-1)])).split(1)
+        return (found + mirrored.flip(-1)) / 2
 
     def text(self, texts: Sequence[str]) -> Float[Tensor, "text channel"]:
         """A unit vector for each text.
