@@ -15,6 +15,7 @@ from instok3d.geometry.moving import Similarity
 from instok3d.scene.changes.alignment import Alignment, align, on_surfaces
 from instok3d.scene.changes.record import KINDS, Change, Difference, Kind
 from instok3d.scene.changes.traits import Traits, traits_of, unlikeness
+from instok3d.scene.objects import SceneObject
 
 if TYPE_CHECKING:
     from instok3d.scene.scene import Scene
@@ -33,6 +34,9 @@ SHOWN = 0.4
 gone or new, and not just not seen."""
 HIDDEN_BY = 1.1
 """A point is hidden where what is drawn there is nearer than it by this factor."""
+BUILDING = frozenset({"wall", "floor", "ceiling", "window", "door"})
+"""What has these labels neither moves nor comes nor goes; other groups of it only look so."""
+OF_BUILDING = "a part of the building, which does not change"
 
 
 def find_differences(first: "Scene", second: "Scene", *, seed: int = 0) -> Difference:
@@ -72,7 +76,11 @@ class Comparison:
         free = [row for row in range(len(self.after.objects)) if row not in stays.values()]
         apart = [row for row in left if row not in joined[0]]
         fresh = [row for row in free if row not in joined[1]]
-        moved = self._moving(carried, apart, fresh)
+        moved = self._moving(
+            carried,
+            [row for row in apart if not _of_building(carried.objects[row])],
+            [row for row in fresh if not _of_building(self.after.objects[row])],
+        )
         changes += [
             self._change(carried, row, other, tolerance, True) for row, other in moved.items()
         ]
@@ -132,8 +140,11 @@ class Comparison:
         least = max(tolerance, OWN * float(carried.extents[row].max()))
         moved = same and math.hypot(x, y, z) > least
         note = "" if same else "the captures show different parts of it"
+        items = carried.objects[row], self.after.objects[other]
+        if moved and any(map(_of_building, items)):
+            moved, note = False, OF_BUILDING
         kind: Kind = "moved" if moved else "unchanged"
-        return Change(kind, carried.objects[row], self.after.objects[other], (x, y, z), note)
+        return Change(kind, *items, (x, y, z), note)
 
     @cached_property
     def _depths(self) -> tuple[Float[Tensor, "view height width"], ...]:
@@ -145,11 +156,15 @@ class Comparison:
             )
 
     def _lost(self, points: Float[Tensor, "point 3"], row: int) -> Change:
+        if _of_building(self.before.objects[row]):
+            return Change("not seen", self.before.objects[row], None, None, OF_BUILDING)
         seen = _in_sight(self.second, self._depths[1], points) >= SHOWN
         note = "" if seen else "the second scene's cameras do not see its place"
         return Change("gone" if seen else "not seen", self.before.objects[row], None, None, note)
 
     def _found(self, points: Float[Tensor, "point 3"], row: int) -> Change:
+        if _of_building(self.after.objects[row]):
+            return Change("not seen", None, self.after.objects[row], None, OF_BUILDING)
         seen = _in_sight(self.first, self._depths[0], points) >= SHOWN
         note = "" if seen else "the first scene's cameras do not see its place"
         return Change("new" if seen else "not seen", None, self.after.objects[row], None, note)
@@ -160,6 +175,10 @@ class Comparison:
         if self.first.units == "metres":
             return "m", 1 / self.alignment.second_from_first.scale
         return "units", 1.0
+
+
+def _of_building(item: SceneObject) -> bool:
+    return item.label in BUILDING
 
 
 def _carried(traits: Traits, move: Similarity) -> Traits:
