@@ -19,6 +19,7 @@ import annotations
 # Before anything of instok3d is imported: every jaxtyping annotation is checked in every test.
 install_import_hook("instok3d", "annotations.checked")
 
+WHOLE = Path(__file__).parent / "whole"
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 # As many processes as cores run tests side by side (pyproject.toml), each on one thread.
@@ -26,6 +27,8 @@ torch.set_num_threads(1 if "PYTEST_XDIST_WORKER" in os.environ else min(2, os.cp
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # The longest test of all would otherwise be the last one, for which other processes wait.
+    items.sort(key=lambda item: WHOLE not in item.path.parents)
     if torch.cuda.is_available():
         return
     skip = pytest.mark.skip(reason="needs a CUDA device")
