@@ -158,6 +158,24 @@ def parse_npy(data: bytes, what: object, remedy: str) -> np.ndarray:
         return values.reshape(shape, order="F" if by_columns else "C")
 
 
+def open_zip(path: Path) -> zipfile.ZipFile:
+    """A zip file of which no part is said to be packed in more bytes than the file has.
+
+    Reading such a part would take that memory.
+
+    Raises:
+        ValueError: There is one.
+    """
+    archive, size = zipfile.ZipFile(path), path.stat().st_size
+    for entry in archive.infolist():
+        if entry.compress_size > size:
+            archive.close()
+            raise ValueError(
+                f"a part of it is said to take {entry.compress_size:,} bytes of its {size:,}"
+            )
+    return archive
+
+
 def open_png(path: Path) -> Image.Image:
     """The picture of a PNG file, not yet decoded.
 

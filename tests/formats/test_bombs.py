@@ -42,6 +42,13 @@ def sog_bomb(method: int = zipfile.ZIP_DEFLATED, length: int = 100_000_000) -> b
     return stream.getvalue()
 
 
+def packed_bomb() -> bytes:
+    """A .sog whose only part is said to be packed in two gigabytes."""
+    data = bytearray(sog_bomb(length=100))
+    struct.pack_into("<I", data, data.index(b"PK\1\2") + 20, 2**31 - 1)
+    return bytes(data)
+
+
 def picture_bomb() -> bytes:
     """A .sog whose first picture has far more pixels than it has bytes."""
     picture, stream = io.BytesIO(), io.BytesIO()
@@ -79,6 +86,7 @@ def v4_bomb() -> bytes:
         ("streams.spz", v4_bomb),
         ("meta.sog", sog_bomb),
         ("method.sog", lambda: sog_bomb(zipfile.ZIP_LZMA, 100)),
+        ("packed.sog", packed_bomb),
         ("picture.sog", picture_bomb),
         ("sections.ksplat", lambda: ksplat_bomb(2**32 - 1, 1)),
         ("count.ksplat", lambda: ksplat_bomb(1, 2**32 - 1)),

@@ -17,7 +17,7 @@ from instok3d.formats.packing import check_growth, from_smallest_three
 from instok3d.formats.ply import write_ply
 from instok3d.formats.registry import ExportOptions
 from instok3d.formats.splats import Splats, drawable_splats
-from instok3d.reading import naming_damage, parse_json, whole_number
+from instok3d.reading import naming_damage, open_zip, parse_json, whole_number
 from instok3d.scene.scene import Scene
 
 VERSION = 2
@@ -70,7 +70,7 @@ def read_sog(path: Path) -> Splats:
         FileNotFoundError: No such file.
         ValueError: It is damaged, or of another version.
     """
-    with naming_damage(path, REMEDY), zipfile.ZipFile(path) as archive:
+    with naming_damage(path, REMEDY), open_zip(path) as archive:
         entries = archive.infolist()
         if len(entries) > MAX_ENTRIES:
             raise ValueError(f"it has {len(entries)} parts")

@@ -14,7 +14,7 @@ import torch
 
 from instok3d.formats.importing import import_scene
 from instok3d.formats.registry import format_of, readable
-from instok3d.reading import naming_damage, open_png
+from instok3d.reading import naming_damage, open_png, open_zip
 from instok3d.scene.from_gaussians import scene_from_gaussians
 from instok3d.scene.scene import Scene
 from instok3d.scene.versions import INPUTS_FOLDERS
@@ -165,7 +165,7 @@ def _unpacked(path: Path, limit_bytes: int) -> Path:
             has.
     """
     target = path.parent / "scene"
-    with naming_damage(path, REMEDY), zipfile.ZipFile(path) as archive:
+    with naming_damage(path, REMEDY), open_zip(path) as archive:
         entries = [entry for entry in archive.infolist() if not entry.is_dir()]
         if len(entries) > MAX_PARTS:
             raise ValueError(f"it has {len(entries)} files")

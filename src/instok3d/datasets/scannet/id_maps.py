@@ -14,7 +14,7 @@ from PIL import Image
 
 from instok3d.files import replacing
 from instok3d.photos.image_decoding import naming_damage as naming_picture_damage
-from instok3d.reading import naming_damage, read_json, whole_number
+from instok3d.reading import naming_damage, open_zip, read_json, whole_number
 
 Kind = Literal["instance-filt", "label-filt"]
 """instance-filt: 8-bit, aggregation id + 1; label-filt: 16-bit raw label ids; 0 = unannotated."""
@@ -42,7 +42,7 @@ class IdMaps:
             )
         self.path = path
         with naming_damage(path, "download it again"):
-            self._archive = zipfile.ZipFile(path)
+            self._archive = open_zip(path)
         names = self._archive.namelist()
         pattern = re.compile(rf"(?:.*/)?{kind}/0*(\d{{1,9}})\.png")
         found = [(match, name) for name in names if (match := pattern.fullmatch(name))]
