@@ -19,12 +19,9 @@ from instok3d.scene.record import CleanUpRecord, SceneTokens
 from instok3d.scene.regions import connected_regions
 from instok3d.types import Cameras, Gaussians
 
-JOIN_SCORE = 0.4
-"""From which a group joins a larger one (`_affinity`). Tuned on rooms, docs/log.md."""
-JOIN_SCORE_OF_MANY, MANY_VIEWS = 0.55, 5
-"""The same from so many views on: the assignment is then a mean over windows of views, in which
-neighbours have more of each other's map."""
-PIECE_SCORE = 0.3
+JOIN_SCORE = 0.6
+"""From which a group joins a larger one (`_affinity`). Tuned on rooms, docs/log.md, 2026-11-30."""
+PIECE_SCORE = 0.2
 """From which a loose piece of a group goes to another one."""
 CRUMB_SCORE = 0.2
 """From which a crumb joins another group."""
@@ -149,8 +146,7 @@ def _joined(
     columns = assignment.shape[1]
     shown = _shown(looks, [look.winners for look in looks], columns)
     score = _affinity(shown, torch.arange(columns), shown.colors, mutual=True)
-    least = JOIN_SCORE_OF_MANY if len(looks) >= MANY_VIEWS else JOIN_SCORE
-    return _taken(assignment, shown.pixels, score.where(score > least, 0.0))
+    return _taken(assignment, shown.pixels, score.where(score > JOIN_SCORE, 0.0))
 
 
 def _without_crumbs(
