@@ -7,16 +7,23 @@ from instok3d.evaluation.methods import FAR, NEAR
 from instok3d.evaluation.object_quality import (
     FoundObjects,
     ObjectScore,
+    find_fragments,
     found_objects,
     score_objects,
 )
 
 
-def painted(ids: list[list[int]], objects: int, weights: torch.Tensor | None = None):
+def painted(
+    ids: list[list[int]],
+    objects: int,
+    weights: torch.Tensor | None = None,
+    fragments: tuple[int, ...] = (),
+):
     """Objects that are fully opaque where they win, in views of one row."""
     numbers = torch.tensor(ids)[:, None]
     opaque = (numbers[:, None] == torch.arange(objects)[None, :, None, None]).float()
-    return FoundObjects(numbers, opaque if weights is None else weights)
+    pieces = torch.tensor([number in fragments for number in range(objects)], dtype=torch.bool)
+    return FoundObjects(numbers, opaque if weights is None else weights, pieces)
 
 
 def truth(ids: list[list[int]]) -> torch.Tensor:
@@ -36,6 +43,13 @@ def test_objects_and_instances_by_hand():
     assert (score.num_objects, score.num_instances) == (3, 2)
     assert (score.num_whole, score.num_found) == (2, 2)
     assert score.purities == pytest.approx((1.0, 1.0, 0.5))
+    assert (score.num_fragments, score.num_whole_fragments) == (0, 0)
+
+
+def test_fragments_are_counted_and_those_of_them_that_are_whole_after_all():
+    found = painted([[0, 0, 0, 2, 1, 1, 2, -1]], 3, fragments=(1, 2))
+    score = scored([[7, 7, 7, 7, 9, 9, 9, 9]], found)
+    assert (score.num_whole, score.num_fragments, score.num_whole_fragments) == (2, 2, 1)
 
 
 def test_a_thing_that_has_another_object_in_each_view_is_in_two_pieces():
@@ -97,3 +111,17 @@ def test_a_scene_without_gaussians_has_no_objects(flat_sample: Sample):
     )  # fmt: skip
     assert found.weights.shape == (2, 0, 32, 32)
     assert (found.ids == -1).all()
+
+
+def test_fragments_are_found_as_a_scene_finds_them():
+    # In views of 40 x 40: 36 pixels of .65 at the rim of one view and 16 of .5, too few to be
+    # seen, inside the other; 36 of .65 inside; 64 pixels, 4 %, of .1; and 25 pixels of .5.
+    ids, scores = torch.full((2, 40, 40), -1), torch.zeros(2, 40, 40)
+    for number, view, row, side, score in [
+        (0, 0, 0, 6, 0.65), (0, 1, 20, 4, 0.5), (1, 0, 8, 6, 0.65), (2, 0, 20, 8, 0.1),
+        (3, 1, 30, 5, 0.5),
+    ]:  # fmt: skip
+        ids[view, row : row + side, 10 : 10 + side] = number
+        scores[view, row : row + side, 10 : 10 + side] = score
+    assert find_fragments(ids, scores, 4).tolist() == [True, False, False, True]
+    assert find_fragments(ids.clamp_max(-1), scores, 0).tolist() == []

@@ -8,8 +8,10 @@ import torch
 from box_room import OFFICE, box_room, with_cameras
 from instok3d.geometry.cameras import transform_points
 from instok3d.scene.object_list import Scale
+from instok3d.scene.run_lengths import RunLengths
 from instok3d.scene.scene import Scene
 from instok3d.scene.vertical import Vertical
+from instok3d.scene.visibility import Sight
 
 
 def test_an_office_in_words():
@@ -82,6 +84,17 @@ def test_hidden_and_smaller_objects_are_counted(scene: Scene):
     assert largest.relations == ()
     with pytest.raises(ValueError, match="most must be at least 1 object, got 0"):
         scene.describe(most=0)
+
+
+def test_fragments_are_left_out_and_counted(scene: Scene):
+    first, second = scene.objects
+    mask = torch.zeros(scene.height, scene.width, dtype=torch.bool)
+    mask[5, 5] = True
+    piece = replace(second, confidence=0.3, sight=Sight((0,), None, (RunLengths.of(mask),)))
+    found = replace(scene, objects=(first, piece)).describe()
+    assert [each.object.id for each in found.objects] == [first.id]
+    assert "Left out: 1 fragment" in str(found)
+    assert found.to_json()["left_out"]["fragments"] == 1
 
 
 def test_it_needs_neither_views_nor_semantics(scene: Scene):

@@ -38,3 +38,14 @@ def test_a_mask_comes_back_from_json(share: float):
 def test_what_is_no_mask_is_refused(value: object):
     with pytest.raises((ValueError, KeyError, TypeError)):
         RunLengths.from_json(value)
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "expected"),
+    [(1, 1, False), (0, 1, True), (2, 1, True), (1, 0, True), (1, 3, True)],
+)
+def test_a_mask_meets_the_frame_at_its_four_sides(row: int, column: int, expected: bool):
+    mask = torch.zeros(3, 4, dtype=torch.bool)
+    assert not RunLengths.of(mask).meets_frame()
+    mask[row, column] = True
+    assert RunLengths.of(mask).meets_frame() is expected

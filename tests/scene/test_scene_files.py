@@ -322,7 +322,7 @@ DAMAGE |= {
     "is said to have 9999": damage_object(
         lambda v: v["seen"][0].update(pixels=9999)
     ),
-    "reads objects of version 3, not 4": damage_json("objects.json", lambda v: v.update(version=4)),
+    "reads objects of version 4, not 5": damage_json("objects.json", lambda v: v.update(version=5)),
     "holds no list of objects": damage_json("objects.json", lambda v: v.update(objects={})),
     "two objects have one key": damage_object(lambda v: v.update(key="object#3")),
     "True is no whole number": damage_object(lambda v: v.update(num_anchors=True)),

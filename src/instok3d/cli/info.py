@@ -71,12 +71,14 @@ def summary(scene: "Scene") -> dict[str, Any]:
 
 def describe(scene: "Scene") -> str:
     """The scene in a few lines for people."""
+    from instok3d.scene.objects import counted, whole_first
+
     made = scene.provenance
     owned = sum(item.num_gaussians for item in scene.objects)
     unit, lengths = ("m", "metres") if scene.units == "metres" else ("units", "arbitrary units")
     lines = [
         f"{len(scene.views)} views of {scene.height} x {scene.width}, "
-        f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians "
+        f"{counted(scene.objects)}, {len(scene.gaussians.means)} Gaussians "
         f"({owned} of them of objects)",
         f"world: {scene.frame}, {axes(scene)}; lengths in {lengths}",
         f"made by {made.generator} with {made.model} ({made.model_sha256[:12]}), seed {made.seed}",
@@ -93,7 +95,7 @@ def describe(scene: "Scene") -> str:
         head = f"{'object':12} {'Gaussians':>9} {'sure':>5} {'best view':>9}"
         lines.append(f"{head}  {f'size ({unit})':20}  touches (share of its border)")
     neighbours = scene.neighbours()
-    for item in scene.objects:
+    for item in whole_first(scene.objects):
         size = " x ".join(f"{length:.2f}" for length in item.obb.size)
         named = item.label is None or item.key == f"{item.label}#{item.id}"
         name = item.key if named else f"{item.key} {item.label}"
@@ -102,8 +104,9 @@ def describe(scene: "Scene") -> str:
         touching = ", ".join(
             f"{each.id} {each.share:.0%}" for each in neighbours[item.id][:MOST_NEIGHBOURS]
         )
-        hidden = "hidden" if item.hidden else ""
-        lines.append(f"{name:12} {numbers}  {size:20}  {touching or hidden}".rstrip())
+        marks = ["hidden"] * item.hidden + ["fragment"] * item.is_fragment
+        aside = "; ".join([touching] * bool(touching) + marks)
+        lines.append(f"{name:12} {numbers}  {size:20}  {aside}".rstrip())
     return "\n".join(lines)
 
 

@@ -62,6 +62,10 @@ class Figures:
     """Of the instances, those with which an object has an IoU of at least .5."""
     small_found_share: float | None
     """The same of the instances under 1 % of the pixels of every view."""
+    fragment_share: float | None
+    """Of the objects, those that are likely pieces of things."""
+    listed_whole_share: float | None
+    """Of the other objects, those with an IoU of at least .5 with an instance."""
     ap_scannet: float | None
     """AP over the thresholds .50:.05:.90 of ScanNet's benchmark."""
     ap_3d: float | None
@@ -91,7 +95,8 @@ MEANS = ("depth_rel", "depth_rel_unscaled")
 COSTS = ("gaussians", "semantic_units", "label_scalars", "feature_scalars", "fit_s")
 ALL_COSTS = (*COSTS, "picture_s", "peak_mb")
 SOLID = ("ap_3d", "ap50_3d", "ap25_3d")
-OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share")
+OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share",
+           "fragment_share", "listed_whole_share")  # fmt: skip
 
 
 def summarize(scenes: Sequence[SceneScore]) -> Figures:
@@ -151,6 +156,11 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         purity=_mean(purities),
         found_share=_ratio(total("num_found"), total("num_instances")),
         small_found_share=_ratio(total("num_small_found"), total("num_small")),
+        fragment_share=_ratio(total("num_fragments"), total("num_objects")),
+        listed_whole_share=_ratio(
+            total("num_whole") - total("num_whole_fragments"),
+            total("num_objects") - total("num_fragments"),
+        ),
         ap_scannet=_or_none(pooled.ap_scannet),
         ap_3d=_or_none(solid.ap_scannet),
         ap50_3d=_or_none(solid.ap50),

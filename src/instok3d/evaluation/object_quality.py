@@ -12,6 +12,7 @@ from torch import Tensor
 
 from instok3d.render import render
 from instok3d.scene.id_maps import group_maps
+from instok3d.scene.objects import likely_fragment
 from instok3d.scene.sight import MIN_PIXELS
 from instok3d.types import Cameras, Gaussians
 
@@ -29,6 +30,8 @@ class FoundObjects:
     """Number of the object that each pixel shows, -1 for none."""
     weights: Float[Tensor, "view object height width"]
     """Rendered weight of each object's own Gaussians: their part of alpha."""
+    fragments: Bool[Tensor, " object"]
+    """Which are likely pieces of things (`instok3d.scene.objects.likely_fragment`)."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,10 @@ class ObjectScore:
     num_small: int
     """Small instances among the seen ones."""
     num_small_found: int
+    num_fragments: int
+    """Objects that are likely pieces of things."""
+    num_whole_fragments: int
+    """Fragments with such an IoU with an instance."""
     purities: tuple[float, ...]
     """Of each object: the share of its rendered weight in the instance where most of it lies."""
 
@@ -73,10 +80,11 @@ def found_objects(
     """
     columns = assignment.shape[1]
     views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
-    winners = torch.stack([
-        group_maps(gaussians, assignment, view, height, width, near=near, far=far).groups
-        for view in views
-    ])  # fmt: skip
+    shown_groups = [
+        group_maps(gaussians, assignment, view, height, width, near=near, far=far) for view in views
+    ]
+    winners = torch.stack([each.groups for each in shown_groups])
+    scores = torch.stack([each.scores for each in shown_groups])
     pixels = torch.stack([each.flatten().bincount(minlength=columns) for each in winners])
     owner = assignment.argmax(dim=1)
     owned = owner[gaussians.anchor_index].bincount(minlength=columns) > 0
@@ -91,7 +99,30 @@ def found_objects(
     ]
     shown = [each for each in maps if each is not None]
     empty = assignment.new_zeros(len(views), 0, height, width)
-    return FoundObjects(number[winners], torch.cat(shown) if shown else empty)
+    ids = number[winners]
+    fragments = find_fragments(ids, scores, len(chosen))
+    return FoundObjects(ids, torch.cat(shown) if shown else empty, fragments)
+
+
+def find_fragments(
+    ids: Int[Tensor, "view height width"], scores: Float[Tensor, "view height width"], count: int
+) -> Bool[Tensor, " object"]:
+    """Which objects a scene of these views would say to be fragments.
+
+    Args:
+        ids: Number of the object that each pixel shows, -1 for none; each number is shown.
+        scores: Map of the winner at each pixel.
+        count: Of the objects.
+    """
+    found = torch.zeros(count, dtype=torch.bool)
+    for number in range(count):
+        own = ids == number
+        seen = own[own.flatten(1).sum(dim=1) >= MIN_PIXELS]
+        rim = torch.cat([seen[:, [0, -1]].flatten(1), seen[:, :, [0, -1]].flatten(1)], dim=1)
+        share = float(seen.double().flatten(1).mean(dim=1).max())
+        cut_off = bool(rim.any(dim=1).all())
+        found[number] = likely_fragment(float(scores[own].mean()), share, cut_off=cut_off)
+    return found
 
 
 def score_objects(
@@ -138,6 +169,8 @@ def score_objects(
         num_found=int((seen & caught).sum()),
         num_small=int(small.sum()),
         num_small_found=int((small & caught).sum()),
+        num_fragments=int(found.fragments[counted].sum()),
+        num_whole_fragments=int((found.fragments[counted] & good.any(dim=1)).sum()),
         purities=tuple(purity.tolist()),
     )
 

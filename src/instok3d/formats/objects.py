@@ -9,7 +9,7 @@ from instok3d.scene.objects import find_object
 from instok3d.scene.scene import Scene
 
 COLUMNS = ("id", "key", "label", "confidence", "x", "y", "z", "length", "width", "height",
-           "num_gaussians", "views", "hidden")  # fmt: skip
+           "num_gaussians", "views", "fragment", "hidden")  # fmt: skip
 """Of `objects_csv`: centre and full lengths of the oriented box, its longest spread first, but for
 height, which is along up."""
 
@@ -59,6 +59,6 @@ def objects_csv(scene: Scene, scale: Scale | None = None) -> str:
         table.writerow([
             item.id, item.key, item.label or "", f"{item.confidence:.3f}", *center, longest, second,
             f"{length * item.height_along(scene.vertical.up):.6g}", item.num_gaussians,
-            " ".join(map(str, item.visible_in)), int(item.hidden),
+            " ".join(map(str, item.visible_in)), int(item.is_fragment), int(item.hidden),
         ])  # fmt: skip
     return stream.getvalue()

@@ -68,6 +68,8 @@ class Description:
     """Objects that are left out because they are hidden."""
     num_smaller: int
     """Objects that are left out because they are smaller than those that were asked for."""
+    num_fragments: int
+    """Objects that are left out because they are likely pieces of things."""
     rest: float
     """Share of the Gaussians that belong to no object."""
 
@@ -100,6 +102,7 @@ class Description:
                 for each in self.relations
             ],
             "left_out": {"hidden": self.num_hidden, "smaller": self.num_smaller,
+                         "fragments": self.num_fragments,
                          "share_of_gaussians": round(self.rest, 4)},
         }  # fmt: skip
 
@@ -120,6 +123,7 @@ class Description:
         left = [
             f"{_count(self.num_hidden, 'hidden object')}" * bool(self.num_hidden),
             f"{_count(self.num_smaller, 'smaller object')}" * bool(self.num_smaller),
+            f"{_count(self.num_fragments, 'fragment')}" * bool(self.num_fragments),
             f"{self.rest:.0%} of the scene, which belongs to no object" * (self.rest >= 0.005),
         ]
         left = [words for words in left if words]
@@ -153,7 +157,8 @@ def describe(scene: "Scene", scale: Scale | None = None, *, most: int = MOST) ->
     if most < 1:
         raise ValueError(f"most must be at least 1 object, got {most}")
     scale = scale or own_scale(scene)
-    drawn = [item for item in scene.objects if not item.hidden]
+    visible = [item for item in scene.objects if not item.hidden]
+    drawn = [item for item in visible if not item.is_fragment]
     every = upright_boxes(scene, drawn)
     volumes = every.size.double().prod(dim=1).tolist()
     rows = sorted(sorted(range(len(drawn)), key=lambda row: (-volumes[row], row))[:most])
@@ -172,8 +177,9 @@ def describe(scene: "Scene", scale: Scale | None = None, *, most: int = MOST) ->
         size=_size(length * (high - low)),
         up_confidence=scene.vertical.confidence,
         num_views=len(scene.views),
-        num_hidden=len(scene.objects) - len(drawn),
+        num_hidden=len(scene.objects) - len(visible),
         num_smaller=len(drawn) - len(objects),
+        num_fragments=len(visible) - len(drawn),
         rest=1 - owned / len(scene.gaussians.means) if len(scene.gaussians.means) else 0.0,
     )
 

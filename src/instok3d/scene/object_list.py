@@ -10,7 +10,7 @@ from instok3d.scene.neighbours import Neighbour, as_values
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 
-FORMAT, VERSION = "instok3d-objects", 3
+FORMAT, VERSION = "instok3d-objects", 4
 SCHEMA = "objects.schema.json"
 """JSON Schema of `objects_document`, in instok3d/assets."""
 

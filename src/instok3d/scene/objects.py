@@ -14,6 +14,23 @@ from instok3d.scene.boxes import AlignedBox, OrientedBox, Point, finite_numbers
 from instok3d.scene.names import UNLABELLED, read_label_source
 from instok3d.scene.visibility import BestView, LateSight, Sight, read_sight
 
+FRAGMENT_SHARE = 0.035
+"""Of the pixels of a view: a fragment has no more in any view."""
+UNSURE, UNSURE_OF_CUT = 0.6, 0.7
+"""Confidence below which a small object is a fragment; the same where the frame cuts it off in
+every view that shows it. Chosen on training rooms, docs/log.md, 2026-11-30."""
+
+
+def likely_fragment(confidence: float, largest_share: float, *, cut_off: bool) -> bool:
+    """Whether an object is likely a piece of a thing and no whole thing.
+
+    Args:
+        confidence: Of the object.
+        largest_share: Of the pixels of a view, in the view that shows most of it.
+        cut_off: It meets the frame in every view that shows it.
+    """
+    return largest_share <= FRAGMENT_SHARE and confidence < (UNSURE_OF_CUT if cut_off else UNSURE)
+
 
 @dataclass(frozen=True, repr=False)
 class SceneObject:
@@ -55,6 +72,19 @@ class SceneObject:
         """The input view that shows most of it; None where none does."""
         return self.sight.best_view
 
+    @property
+    def is_fragment(self) -> bool:
+        """Whether it is likely a piece of a thing and no whole thing (`likely_fragment`).
+
+        False where no view shows it.
+        """
+        if self.confidence >= UNSURE_OF_CUT or not self.sight.masks:  # then nobody looks, maybe
+            return False
+        masks = self.sight.masks
+        share = max(mask.area / (mask.height * mask.width) for mask in masks)
+        cut_off = all(mask.meets_frame() for mask in masks)
+        return likely_fragment(self.confidence, share, cut_off=cut_off)
+
     def __repr__(self) -> str:
         size = "x".join(f"{length:.2g}" for length in self.obb.size)
         label = f" label={self.label!r}" if self.label else ""
@@ -89,6 +119,7 @@ class SceneObject:
             "label_source": self.label_source,
             "label_score": self.label_score,
             "confidence": self.confidence,
+            "fragment": self.is_fragment,
             "hidden": self.hidden,
             "color": self.color,
             "centroid": scaled(self.centroid),
@@ -142,6 +173,18 @@ class SceneObject:
             label_score=None if value.get("label_score") is None else _share(value["label_score"]),
             hidden=one_of(value.get("hidden", False), (False, True)),
         )
+
+
+def whole_first(objects: Sequence[SceneObject]) -> list[SceneObject]:
+    """The objects in their order, fragments behind all others."""
+    return sorted(objects, key=lambda item: item.is_fragment)
+
+
+def counted(objects: Sequence[SceneObject]) -> str:
+    """How many objects there are, and how many of them are fragments, in words."""
+    fragments = sum(item.is_fragment for item in objects)
+    aside = f" ({fragments} of them fragments)" if fragments else ""
+    return f"{len(objects)} object{'' if len(objects) == 1 else 's'}{aside}"
 
 
 def find_object(objects: Sequence[SceneObject], which: int | str) -> SceneObject:

@@ -11,7 +11,7 @@ from PIL import Image
 from instok3d.files import replacing_folder
 from instok3d.pictures import Section, color_picture, contact_sheet, id_picture, save_png
 from instok3d.scene.object_pictures import object_in_photo, object_picture
-from instok3d.scene.objects import SceneObject
+from instok3d.scene.objects import SceneObject, counted
 from instok3d.scene.paths import orbit
 from instok3d.scene.scene import Scene
 
@@ -63,7 +63,8 @@ def write_previews(scene: Scene, folder: Path, progress: Callable[[str], None]) 
     """Write contact_sheet.png and objects/NNN.png, one for each object, into a folder.
 
     The sheet has the inputs, the scene rendered at the inputs, the objects' pixels coloured, and
-    for each object its part of the photo that shows most of it, and it alone (`object_pictures`).
+    for each object its part of the photo that shows most of it, and it alone (`object_pictures`);
+    fragments behind all others.
     """
     tiles = []
     for number, item in enumerate(scene.objects, 1):
@@ -95,20 +96,36 @@ def scene_sheet(
     mixed = (0.35 * behind + 0.65 * id_picture(pictures.ids)).astype(np.uint8)
     names = [view.file for view in scene.views] or ["around"] * AROUND
     numbers = [f"{index} {name}" for index, name in enumerate(names)]
-    cells, keys = [], []
-    for item, tile in zip(objects, tiles, strict=True):
-        seen = object_in_photo(scene, item)
-        cells += [tile] if seen is None else [seen, tile]
-        key = f"{item.key} {item.num_gaussians}"
-        keys += [key] if seen is None else [key, "alone"]
+    shown = list(zip(objects, tiles, strict=True))
+    whole = [(item, tile) for item, tile in shown if not item.is_fragment]
+    fragments = [(item, tile) for item, tile in shown if item.is_fragment]
     sections = [
         Section("photos", list(photos), numbers),
         Section(
             "scene at the photos' cameras" if scene.views else "scene from around",
             list(color_picture(pictures.colors)), numbers,
         ),
-        Section(f"{len(scene.objects)} objects", list(mixed), numbers),
-        Section("each object in a photo, with its number of Gaussians, and alone", cells, keys),
+        Section(counted(scene.objects), list(mixed), numbers),
+        Section(
+            "each object in a photo, with its number of Gaussians, and alone",
+            *_object_cells(scene, whole),
+        ),
+        Section(
+            "fragments: likely pieces of things, small and unsure",
+            *_object_cells(scene, fragments),
+        ),
     ]  # fmt: skip
-    shown = [section for section in sections if section.cells or scene.views]
-    return contact_sheet(shown, cell_height=CELL)
+    return contact_sheet([each for each in sections if each.cells], cell_height=CELL)
+
+
+def _object_cells(
+    scene: Scene, shown: Sequence[tuple[SceneObject, np.ndarray]]
+) -> tuple[list[np.ndarray], list[str]]:
+    """Pictures of objects, in a photo where one shows them and alone, and what is written below."""
+    cells, keys = [], []
+    for item, tile in shown:
+        seen = object_in_photo(scene, item)
+        cells += [tile] if seen is None else [seen, tile]
+        key = f"{item.key} {item.num_gaussians}"
+        keys += [key] if seen is None else [key, "alone"]
+    return cells, keys

@@ -51,6 +51,11 @@ class RunLengths:
             return 0, 0, 0, 0
         return int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1
 
+    def meets_frame(self) -> bool:
+        """Whether a pixel of the mask lies on the border of the view."""
+        x0, y0, x1, y1 = self.box()
+        return self.area > 0 and (x0 == 0 or y0 == 0 or x1 == self.width or y1 == self.height)
+
     def to_json(self) -> dict[str, Any]:
         """COCO's segmentation."""
         return {"size": [self.height, self.width], "counts": list(self.counts)}

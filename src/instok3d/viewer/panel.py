@@ -108,9 +108,10 @@ class Panel:
         selected = item.id in self._session.shown.selected
         content = row(self._session.scene, item, self._thumbnail(item))
         if item.id not in self._rows:
+            place = 2 * item.id + (1e9 if item.is_fragment else 1e3)
             with self._folder:
-                picture = self._gui.add_html(content, order=2 * item.id + 1e3)
-                tick = self._gui.add_checkbox(item.key, selected, order=2 * item.id + 1001)
+                picture = self._gui.add_html(content, order=place)
+                tick = self._gui.add_checkbox(item.key, selected, order=place + 1)
             tick.on_update(lambda event: self._ticked(item.id, event))
             self._rows[item.id] = picture, tick
             return

@@ -237,9 +237,10 @@ class ObjectList {
       name.append(picture, chip, label);
       name.addEventListener("click", (event) => page.select(k + 1, event.ctrlKey || event.metaKey));
       row.append(name, eye);
-      list.append(row);
-      return { row, eye, name, key: object.key };
+      return { row, eye, name, key: object.key, fragment: object.fragment };
     });
+    const whole = this.rows.filter(({ fragment }) => !fragment), fragments = this.rows.filter(({ fragment }) => fragment);
+    list.append(...[...whole, ...fragments].map(({ row }) => row));
   }
 
   show({ hidden, selected }) {

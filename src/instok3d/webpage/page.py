@@ -18,7 +18,7 @@ from instok3d.files import replacing
 from instok3d.geometry.cameras import invert_rigid
 from instok3d.pictures import color_picture
 from instok3d.scene.edits.disclosure import edited_words
-from instok3d.scene.objects import SceneObject
+from instok3d.scene.objects import SceneObject, counted
 from instok3d.scene.paths import around
 from instok3d.scene.previews import object_picture
 from instok3d.scene.scene import Scene
@@ -132,7 +132,7 @@ def _about(scene: Scene, title: str, packed: PackedGaussians) -> dict[str, Any]:
         "views": [_view(places, index) for index in range(len(places.names))],
         "objects": [_object(scene, item) for item in scene.objects],
         "lines": [
-            f"{len(scene.objects)} objects, {len(scene.gaussians.means)} Gaussians",
+            f"{counted(scene.objects)}, {len(scene.gaussians.means)} Gaussians",
             f"made by {made.generator} with {made.model}",
             "lengths in metres" if scene.units == "metres" else "lengths in arbitrary units",
             *([edited_words(scene)] if scene.edits else []),
@@ -173,6 +173,7 @@ def _object(scene: Scene, item: SceneObject) -> dict[str, Any]:
         "color": item.color,
         "centroid": list(item.centroid),
         "gaussian_range": list(item.gaussian_range),
+        "fragment": item.is_fragment,
         "size": size_words(scene, item),
         "picture": thumbnail(scene, item),
     }
