@@ -64,6 +64,7 @@ def test_purity_is_by_rendered_weight_and_not_by_pixels_won():
     weights = torch.tensor([[[0.9, 0.9, 0.3, 0.3], [0.0, 0.0, 0.6, 0.6]]])[:, :, None]
     score = scored([[7, 7, 9, 9]], painted([[0, 0, 1, 1]], 2, weights))
     assert score.purities == pytest.approx((1.8 / 2.4, 1.0))
+    assert score.weights == pytest.approx((2.4, 1.2))
 
 
 def test_small_things_are_those_below_a_hundredth_of_every_view():

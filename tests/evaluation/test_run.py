@@ -246,13 +246,14 @@ def test_objects_are_measured_where_they_are_asked_for(report):
 def test_figures_of_objects_by_hand():
     # 5 objects for 4 instances, 3 of them whole; 2 of 4 instances and 1 of 2 small ones are found.
     # 3 are fragments, one of these whole.
-    first = ObjectScore(3, 2, 2, 1, 2, 1, 2, 1, (0.5, 0.7, 0.9))
-    second = ObjectScore(2, 2, 1, 1, 0, 0, 1, 0, (1.0, 0.4))
+    first = ObjectScore(3, 2, 2, 1, 2, 1, 2, 1, (0.5, 0.7, 0.9), (4.0, 2.0, 2.0))
+    second = ObjectScore(2, 2, 1, 1, 0, 0, 1, 0, (1.0, 0.4), (1.0, 1.0))
     scene = SceneScore("1", None, (ViewScore(psnr=20.0),), objects=(first, None, second))
     figures = summarize([scene])
     assert figures.objects_per_instance == pytest.approx(5 / 4)
     assert figures.whole_share == pytest.approx(3 / 5)
     assert figures.purity == pytest.approx(0.7)
+    assert figures.purity_by_weight == pytest.approx((2.0 + 1.4 + 1.8 + 1.0 + 0.4) / 10)
     assert figures.found_share == pytest.approx(2 / 4)
     assert figures.small_found_share == pytest.approx(1 / 2)
     assert figures.fragment_share == pytest.approx(3 / 5)

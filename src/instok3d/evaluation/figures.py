@@ -58,6 +58,8 @@ class Figures:
     """Of the objects, those with an IoU of at least .5 with an instance."""
     purity: float | None
     """Share of an object's rendered weight that lies in its true instance, mean over objects."""
+    purity_by_weight: float | None
+    """The same, where each object counts by its rendered weight."""
     found_share: float | None
     """Of the instances, those with which an object has an IoU of at least .5."""
     small_found_share: float | None
@@ -95,8 +97,8 @@ MEANS = ("depth_rel", "depth_rel_unscaled")
 COSTS = ("gaussians", "semantic_units", "label_scalars", "feature_scalars", "fit_s")
 ALL_COSTS = (*COSTS, "picture_s", "peak_mb")
 SOLID = ("ap_3d", "ap50_3d", "ap25_3d")
-OBJECTS = ("objects_per_instance", "whole_share", "purity", "found_share", "small_found_share",
-           "fragment_share", "listed_whole_share")  # fmt: skip
+OBJECTS = ("objects_per_instance", "whole_share", "purity", "purity_by_weight", "found_share",
+           "small_found_share", "fragment_share", "listed_whole_share")  # fmt: skip
 
 
 def summarize(scenes: Sequence[SceneScore]) -> Figures:
@@ -127,6 +129,7 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
     costs = [cost for scene in scenes for cost in scene.costs]
     peaks = [cost.peak_bytes / 1e6 for cost in costs if cost.peak_bytes is not None]
     purities = [purity for score in objects for purity in score.purities]
+    weights = [weight for score in objects for weight in score.weights]
 
     def total(name: str) -> int:
         return sum(getattr(score, name) for score in objects)
@@ -154,6 +157,7 @@ def summarize(scenes: Sequence[SceneScore]) -> Figures:
         objects_per_instance=_ratio(total("num_objects"), total("num_instances")),
         whole_share=_ratio(total("num_whole"), total("num_objects")),
         purity=_mean(purities),
+        purity_by_weight=_weighted_mean(purities, weights),
         found_share=_ratio(total("num_found"), total("num_instances")),
         small_found_share=_ratio(total("num_small_found"), total("num_small")),
         fragment_share=_ratio(total("num_fragments"), total("num_objects")),
@@ -197,6 +201,11 @@ def _known(scores: Iterable[ViewScore | GeometryScore], name: str) -> list[float
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
+
+
+def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float | None:
+    """None where nothing has weight."""
+    return float(np.average(values, weights=weights)) if sum(weights) else None
 
 
 def _ratio(part: int, whole: int) -> float | None:

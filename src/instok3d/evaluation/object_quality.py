@@ -54,6 +54,8 @@ class ObjectScore:
     """Fragments with such an IoU with an instance."""
     purities: tuple[float, ...]
     """Of each object: the share of its rendered weight in the instance where most of it lies."""
+    weights: tuple[float, ...]
+    """Of each object: its rendered weight on labelled pixels, pixels."""
 
 
 @torch.no_grad()
@@ -172,6 +174,7 @@ def score_objects(
         num_fragments=int(found.fragments[counted].sum()),
         num_whole_fragments=int((found.fragments[counted] & good.any(dim=1)).sum()),
         purities=tuple(purity.tolist()),
+        weights=tuple(weight.sum(dim=1).tolist()),
     )
 
 

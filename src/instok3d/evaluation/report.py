@@ -37,8 +37,8 @@ RESULTS_HEADER = (
 """Head of the table that `results_rows` fills; it holds this project's own figures alone."""
 
 
-_OBJECT_COLUMNS = ("objects per instance", "whole", "purity", "found", "small found", "fragments",
-                   "whole of the others")  # fmt: skip
+_OBJECT_COLUMNS = ("objects per instance", "whole", "purity", "by weight", "found", "small found",
+                   "fragments", "whole of the others")  # fmt: skip
 """Of OBJECTS, where they were asked for."""
 _COST_COLUMNS = ("Gaussians", "semantic units", "label numbers", "feature numbers", "scene (s)",
                  "picture (s)", "peak (MB)")  # fmt: skip
@@ -205,7 +205,8 @@ def _object_notes(figures: Figures) -> list[str]:
         f"Objects in the context views: {counts['objects']}, "
         f"{_text(figures.objects_per_instance, 2)} for each instance seen; "
         f"{_text(figures.whole_share)} of them have IoU >= .5 with an instance, purity "
-        f"{_text(figures.purity)}; {_text(figures.found_share)} of the instances are found, of the "
+        f"{_text(figures.purity)}, by weight {_text(figures.purity_by_weight)}; "
+        f"{_text(figures.found_share)} of the instances are found, of the "
         f"{counts['small_instances']} under 1 % of the pixels {_text(figures.small_found_share)}; "
         f"{_text(figures.fragment_share)} are fragments, of the others "
         f"{_text(figures.listed_whole_share)} are whole."

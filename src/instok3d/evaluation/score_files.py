@@ -46,7 +46,13 @@ def _plain(value: Any) -> Any:
 
 
 def _objects(value: dict[str, Any] | None) -> ObjectScore | None:
-    return None if value is None else ObjectScore(**{**value, "purities": tuple(value["purities"])})
+    return (
+        None
+        if value is None
+        else ObjectScore(
+            **{**value, "purities": tuple(value["purities"]), "weights": tuple(value["weights"])}
+        )
+    )
 
 
 def _view(value: dict[str, Any]) -> ViewScore:
