@@ -39,20 +39,38 @@ void prepare_row(const AlignmentInputs& in, int scene, int row, Texel* texels) {
   }
 }
 
-// The four pixels about a place and their shares; places outside are those of the edge.
+// The four pixels about each place of a patch, by their number in the photo, and their shares;
+// places outside are those of the edge.
 struct Corners {
-  int left, right;
-  std::int64_t top, bottom;  // offsets of the rows
-  float x, y;
+  std::int32_t a[PIXELS], b[PIXELS], d[PIXELS], e[PIXELS];
+  float share_a[PIXELS], share_b[PIXELS], share_d[PIXELS], share_e[PIXELS];
 };
 
-Corners corners(float x, float y, int height, int width) {
-  // In this order of the arguments NaN becomes 0.
-  x = std::min(std::max(0.0f, x - 0.5f), float(width - 1));
-  y = std::min(std::max(0.0f, y - 0.5f), float(height - 1));
-  const int left = int(x), top = int(y);
-  return {left, std::min(left + 1, width - 1), std::int64_t(top) * width,
-          std::int64_t(std::min(top + 1, height - 1)) * width, x - float(left), y - float(top)};
+// All pixels in one plain loop, which compilers turn into vector instructions: two thirds of the
+// time of the search with one pixel after the other.
+void find_corners(const float* by_x, const float* by_y, const float at[2], int height, int width,
+                  Corners& found) {
+  const float at_x = at[0], at_y = at[1];
+  const float last_x = float(width - 1), last_y = float(height - 1);
+  for (int p = 0; p < PIXELS; ++p) {
+    float x = at_x + by_x[p] - 0.5f, y = at_y + by_y[p] - 0.5f;
+    x = 0.0f < x ? x : 0.0f;  // NaN becomes 0
+    y = 0.0f < y ? y : 0.0f;
+    x = last_x < x ? last_x : x;
+    y = last_y < y ? last_y : y;
+    const std::int32_t left = std::int32_t(x), top = std::int32_t(y);
+    const std::int32_t right = left < width - 1 ? 1 : 0, below = top < height - 1 ? width : 0;
+    x -= float(left);
+    y -= float(top);
+    found.a[p] = top * width + left;
+    found.b[p] = found.a[p] + right;
+    found.d[p] = found.a[p] + below;
+    found.e[p] = found.d[p] + right;
+    found.share_a[p] = (1 - x) * (1 - y);
+    found.share_b[p] = x * (1 - y);
+    found.share_d[p] = (1 - x) * y;
+    found.share_e[p] = x * y;
+  }
 }
 
 // The patch as the other photo should show it: its colours, and its pixels about their middle.
@@ -107,22 +125,40 @@ Patch warp_patch(const AlignmentInputs& in, int scene, int cell, float start[2])
   return patch;
 }
 
+// What each pixel of a patch counts in the mean, and its precision where the photos agree.
+struct Weights {
+  float shares[PIXELS], precision[PIXELS];
+};
+
+Weights weights_of(const AlignmentInputs& in) {
+  float window_total = 0;
+  for (int p = 0; p < PIXELS; ++p) window_total += in.window[p];
+  const float precision = 1 / (in.shared * in.color_noise * in.color_noise);
+  Weights weights;
+  for (int p = 0; p < PIXELS; ++p) {
+    weights.shares[p] = in.window[p] / window_total;
+    weights.precision[p] = precision * in.window[p];
+  }
+  return weights;
+}
+
 // Normal equations of the colour differences over the place, in units of their noise.
 struct Equations {
   float xx, xy, yy, x, y;
 };
 
 Equations photo_equations(const AlignmentInputs& in, const Texel* texels, const Patch& patch,
-                          const float at[2], float window_total) {
+                          const float at[2], const Weights& weights) {
+  Corners corners;
+  find_corners(patch.x, patch.y, at, in.height, in.width, corners);
   Texel found[PIXELS];
   Texel mean = {};
   for (int p = 0; p < PIXELS; ++p) {
-    const Corners c = corners(at[0] + patch.x[p], at[1] + patch.y[p], in.height, in.width);
-    const Texel &a = texels[c.top + c.left], &b = texels[c.top + c.right];
-    const Texel &d = texels[c.bottom + c.left], &e = texels[c.bottom + c.right];
-    const float share_a = (1 - c.x) * (1 - c.y), share_b = c.x * (1 - c.y);
-    const float share_d = (1 - c.x) * c.y, share_e = c.x * c.y;
-    const float share = in.window[p] / window_total;
+    const Texel &a = texels[corners.a[p]], &b = texels[corners.b[p]];
+    const Texel &d = texels[corners.d[p]], &e = texels[corners.e[p]];
+    const float share_a = corners.share_a[p], share_b = corners.share_b[p];
+    const float share_d = corners.share_d[p], share_e = corners.share_e[p];
+    const float share = weights.shares[p];
     found[p].color = share_a * a.color + share_b * b.color + share_d * d.color +
                      share_e * e.color - patch.colors[p];
     found[p].by_x = share_a * a.by_x + share_b * b.by_x + share_d * d.by_x + share_e * e.by_x;
@@ -133,13 +169,17 @@ Equations photo_equations(const AlignmentInputs& in, const Texel* texels, const 
   }
   const float scale = 2 * in.color_noise;
   const float per_square = 1 / (3 * scale * scale);
-  const float precision = 1 / (in.shared * in.color_noise * in.color_noise);
+  float robust[PIXELS];
+  for (int p = 0; p < PIXELS; ++p) {
+    found[p].color -= mean.color;
+    robust[p] = total(found[p].color * found[p].color);
+  }
+  for (int p = 0; p < PIXELS; ++p) robust[p] = weights.precision[p] / (1 + robust[p] * per_square);
   Quad xx = {}, xy = {}, yy = {}, x = {}, y = {};
   for (int p = 0; p < PIXELS; ++p) {
-    const Quad error = found[p].color - mean.color;
+    const Quad error = found[p].color;
     const Quad by_x = found[p].by_x - mean.by_x, by_y = found[p].by_y - mean.by_y;
-    const float weight = precision * in.window[p] / (1 + total(error * error) * per_square);
-    const Quad weighted_x = weight * by_x, weighted_y = weight * by_y;
+    const Quad weighted_x = robust[p] * by_x, weighted_y = robust[p] * by_y;
     xx += weighted_x * by_x;
     xy += weighted_x * by_y;
     yy += weighted_y * by_y;
@@ -150,7 +190,7 @@ Equations photo_equations(const AlignmentInputs& in, const Texel* texels, const 
 }
 
 void align_cell(const AlignmentInputs& in, const Texel* texels, int scene, int cell,
-                float window_total, const AlignmentOutputs& out) {
+                const Weights& weights, const AlignmentOutputs& out) {
   float at[2];
   const Patch patch = warp_patch(in, scene, cell, at);
   const std::int64_t row = std::int64_t(scene) * in.cells + cell;
@@ -158,7 +198,7 @@ void align_cell(const AlignmentInputs& in, const Texel* texels, int scene, int c
   const float held = 1 / (in.peak_reach * in.peak_reach);
   Equations e = {held, 0, held, 0, 0};
   for (int iteration = 0; iteration < in.iterations; ++iteration) {
-    e = photo_equations(in, texels, patch, at, window_total);
+    e = photo_equations(in, texels, patch, at, weights);
     e.xx += held;
     e.yy += held;
     e.x += (at[0] - peak[0]) * held;
@@ -188,8 +228,7 @@ void align_cell(const AlignmentInputs& in, const Texel* texels, int scene, int c
 
 void align(const AlignmentInputs& in, const AlignmentOutputs& out, int threads) {
   const int tasks = (in.cells + CELLS_OF_A_TASK - 1) / CELLS_OF_A_TASK;
-  float window_total = 0;
-  for (int p = 0; p < PIXELS; ++p) window_total += in.window[p];
+  const Weights weights = weights_of(in);
   std::vector<Texel> texels(std::size_t(in.height) * in.width);  // of one scene after the other
   std::vector<Stage> stages;
   for (int scene = 0; scene < in.scenes; ++scene) {
@@ -204,7 +243,7 @@ void align(const AlignmentInputs& in, const AlignmentOutputs& out, int threads) 
                         for (int cell = first; cell < end; ++cell) {
                           const std::int64_t at = std::int64_t(scene) * in.cells + cell;
                           if (!(in.confidence[at] > in.least_confidence)) continue;
-                          align_cell(in, texels.data(), scene, cell, window_total, out);
+                          align_cell(in, texels.data(), scene, cell, weights, out);
                         }
                       }});
   }

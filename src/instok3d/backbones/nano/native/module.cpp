@@ -50,6 +50,7 @@ void align_arrays(const Floats<4>& own_photos, const Floats<4>& photos, const Fl
   in.cells = require_length("cells", cells, MAX_LENGTH);
   in.height = require_length("rows of photos", photos.shape(2), MAX_SIDE);
   in.width = require_length("columns of photos", photos.shape(3), MAX_SIDE);
+  require_length("pixels of photos", photos.shape(2) * photos.shape(3), MAX_LENGTH);
   in.own_height = require_length("rows of own_photos", own_photos.shape(2), MAX_SIDE);
   in.own_width = require_length("columns of own_photos", own_photos.shape(3), MAX_SIDE);
   in.own_photos = own_photos.data();
