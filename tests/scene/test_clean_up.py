@@ -8,6 +8,7 @@ import torch
 
 import instok3d
 from instok3d.cli.info import describe
+from instok3d.scene import clean_up
 from instok3d.scene.clean_up import Cleaned, cleaned
 from instok3d.scene.record import CleanUpRecord, SceneTokens
 from instok3d.types import Cameras, Gaussians
@@ -144,6 +145,17 @@ def test_a_chain_of_crumbs_ends_in_the_largest():
     )
     assert done.record.joined == 2
     assert (owner == 0).all()
+
+
+def test_each_view_is_rendered_once_however_many_groups_join(monkeypatch):
+    rendered, plain = [], clean_up.render
+    monkeypatch.setattr(
+        clean_up, "render", lambda *args, **more: rendered.append(1) or plain(*args, **more)
+    )
+    crumbs = [Patch((8, 13), (8, 13), CRUMB), Patch((16, 18), (16, 19), [0.3, 0.1, 0.5, 0.1])]
+    done, _ = cleaned_picture(*crumbs, views=2)
+    assert done.record.joined == 2
+    assert len(rendered) == 2
 
 
 def test_a_loose_piece_goes_to_what_surrounds_it_and_the_main_part_stays():

@@ -56,6 +56,11 @@ class _Look:
     depths: Float[Tensor, "height width"]
     colors: Float[Tensor, "3 height width"]
 
+    def joined(self, joins: "_Joins") -> "_Look":
+        """The same view once groups have joined others."""
+        maps = _joined(self.maps, joins)
+        return replace(self, maps=maps, winners=maps.argmax(dim=0))
+
 
 @dataclass(frozen=True)
 class _Shown:
@@ -102,22 +107,22 @@ def cleaned(
     if not len(gaussians.means) or not len(tokens.groups):
         return Cleaned(gaussians, tokens, CleanUpRecord(0, 0))
 
-    def looked(assignment: Float[Tensor, "anchor column"]) -> list[_Look]:
-        views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
-        return [_look(gaussians, assignment, v, height, width, near, far) for v in views]
-
-    looks = looked(tokens.assignment)
-    assignment, joined = _joined(tokens.assignment, looks)
-    looks = looked(assignment) if joined else looks
-    assignment, crumbs = _without_crumbs(assignment, looks)
-    looks = looked(assignment) if crumbs else looks
+    views = [cameras.view(number) for number in range(len(cameras.intrinsics))]
+    looks = [_look(gaussians, tokens.assignment, v, height, width, near, far) for v in views]
+    assignment, count = tokens.assignment, 0
+    for find in (_joins_of_parts, _joins_of_crumbs):
+        joins = find(looks)
+        assignment = _joined(assignment.mT, joins).mT.contiguous()
+        # Composited maps are linear in the assignment: no need to render them again.
+        looks = [look.joined(joins) for look in looks] if joins else looks
+        count += len(joins)
     labels = _without_loose_pieces(looks)
     moved = reassigned(
         gaussians, assignment, tokens.positions, cameras, height, width, near=near, far=far,
         winners=labels,
     )  # fmt: skip
-    count = int((moved.anchor_index != gaussians.anchor_index).sum())
-    record = CleanUpRecord(joined + crumbs, count)
+    others = int((moved.anchor_index != gaussians.anchor_index).sum())
+    record = CleanUpRecord(count, others)
     return Cleaned(moved, replace(tokens, assignment=assignment), record)
 
 
@@ -139,36 +144,41 @@ def _look(
     return _Look(maps, maps.argmax(dim=0), picture.depths[0], picture.colors[0])
 
 
-def _joined(
-    assignment: Float[Tensor, "anchor column"], looks: Sequence[_Look]
-) -> tuple[Float[Tensor, "anchor column"], int]:
-    """The assignment with joined groups, and how many joined another one."""
-    columns = assignment.shape[1]
+_Joins = Sequence[tuple[int, int]]
+"""Groups and the larger ones that they join, in the order in which they do."""
+
+
+def _joined(rows: Float[Tensor, "column *each"], joins: _Joins) -> Float[Tensor, "column *each"]:
+    """What the groups have, with that of each that joins another one given to it."""
+    rows = rows.clone() if joins else rows
+    for group, target in joins:
+        rows[target] += rows[group]
+        rows[group] = 0
+    return rows
+
+
+def _joins_of_parts(looks: Sequence[_Look]) -> _Joins:
+    """Groups that are parts of larger ones."""
+    columns = len(looks[0].maps)
     shown = _shown(looks, [look.winners for look in looks], columns)
     score = _affinity(shown, torch.arange(columns), shown.colors, mutual=True)
-    return _taken(assignment, shown.pixels, score.where(score > JOIN_SCORE, 0.0))
+    return _joins(shown.pixels, score.where(score > JOIN_SCORE, 0.0))
 
 
-def _without_crumbs(
-    assignment: Float[Tensor, "anchor column"], looks: Sequence[_Look]
-) -> tuple[Float[Tensor, "anchor column"], int]:
-    """The assignment with crumbs joined to other groups, and how many were."""
-    columns = assignment.shape[1]
+def _joins_of_crumbs(looks: Sequence[_Look]) -> _Joins:
+    """Crumbs, and the groups that they belong to."""
+    columns = len(looks[0].maps)
     shown = _shown(looks, [look.winners for look in looks], columns)
     pixels = [look.winners.flatten().cpu().bincount(minlength=columns) for look in looks]
     small = torch.stack(pixels).amax(dim=0) <= CRUMB_SHARE * looks[0].winners.numel()
     crumbs = small & (shown.maps.diagonal() < UNSURE)
     score = _affinity(shown, torch.arange(columns), shown.colors, mutual=False)
     score[~crumbs], score[:, crumbs] = 0, 0
-    return _taken(assignment, shown.pixels, score.where(score > CRUMB_SCORE, 0.0))
+    return _joins(shown.pixels, score.where(score > CRUMB_SCORE, 0.0))
 
 
-def _taken(
-    assignment: Float[Tensor, "anchor column"],
-    pixels: Float[Tensor, " column"],
-    score: Float[Tensor, "column column"],
-) -> tuple[Float[Tensor, "anchor column"], int]:
-    """The assignment where each group joins the larger one of its best score, and how many did.
+def _joins(pixels: Float[Tensor, " column"], score: Float[Tensor, "column column"]) -> _Joins:
+    """Each group with the larger one of its best score, smaller groups first.
 
     The void, the last column, neither takes nor joins; nor is anything joined where the score is 0.
     """
@@ -179,13 +189,7 @@ def _taken(
     score = score.masked_fill(rank[None, :] >= rank[:, None], 0)
     score[-1], score[:, -1] = 0, 0
     best, target = score.max(dim=1)
-    assignment, count = assignment.clone(), 0
-    for group in reversed(order.tolist()):
-        if best[group] > 0:
-            assignment[:, target[group]] += assignment[:, group]
-            assignment[:, group] = 0
-            count += 1
-    return assignment, count
+    return [(group, int(target[group])) for group in reversed(order.tolist()) if best[group] > 0]
 
 
 def _without_loose_pieces(looks: Sequence[_Look]) -> Int[Tensor, "view height width"]:
