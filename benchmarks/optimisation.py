@@ -9,7 +9,6 @@ one process on one thread. A method whose scenes are optimised is begun anew for
 steps, since its rates fall with the steps that are left.
 """
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import torch
 import tyro
+from known_rows import known_or_measured
 from panels import Panel, draw_panels
 
 from instok3d.baselines.context_masks import MasksOf, MaskSource, Tracker, context_masks
@@ -103,12 +103,7 @@ class Row:
 def main(options: Options) -> None:
     """Prints a JSON object for each row as soon as it is there."""
     torch.set_num_threads(1)
-    lines = [line for file in options.known for line in file.read_text().splitlines()]
-    rows = [Row(**json.loads(line)) for line in lines]
-    if not rows:
-        for row in measured(options):
-            print(json.dumps(asdict(row)), flush=True)
-            rows.append(row)
+    rows = known_or_measured(options.known, Row, measured(options))
     if options.plot is not None:
         plot(rows, options.plot)
 

@@ -8,7 +8,6 @@ what was learned. Seconds are those of the processor for the backbone and for ev
 it, one thread, the middle one of --repeats calls.
 """
 
-import json
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 import torch
 import tyro
 from jaxtyping import Float
+from known_rows import known_or_measured
 from panels import Panel, draw_panels
 from torch import Tensor
 
@@ -65,12 +65,7 @@ class Row:
 def main(options: Options) -> None:
     """Prints a JSON object for each row as soon as it is there."""
     torch.set_num_threads(1)
-    lines = [line for file in options.known for line in file.read_text().splitlines()]
-    rows = [Row(**json.loads(line)) for line in lines]
-    if not rows:
-        for row in measured(options):
-            print(json.dumps(asdict(row)), flush=True)
-            rows.append(row)
+    rows = known_or_measured(options.known, Row, measured(options))
     if options.plot is not None:
         kinds = dict.fromkeys(row.what for row in rows)
         curves = {kind: [asdict(row) for row in rows if row.what == kind] for kind in kinds}
