@@ -199,6 +199,9 @@ def test_a_file_gives_the_same_model(name, tmp_path, sample):
     save_file({k: v for k, v in weights.items() if k != "expand.weight"}, file, metadata)
     with pytest.raises(ValueError, match=r"model\.safetensors is damaged .*expand\.weight"):
         load_feature_model(file)
+    save_file(weights | {"expand.weight": weights["expand.weight"] * torch.nan}, file, metadata)
+    with pytest.raises(ValueError, match=r"is damaged .*weight expand\.weight is not finite"):
+        load_feature_model(file)
     model.expand.weight.data[0, 0] = torch.inf
     with pytest.raises(ValueError, match=r"weight expand\.weight is not finite in float16"):
         save_feature_model(model, tmp_path / "none.safetensors", card={})

@@ -16,7 +16,7 @@ from instok3d.baselines.pixel_features import PixelFeatureConfig, PixelFeatures
 from instok3d.baselines.query_gaussians import QueryGaussianConfig, QueryGaussians
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
-from instok3d.model.file_checks import check_tensors, config_of_json
+from instok3d.model.file_checks import check_finite, check_tensors, config_of_json
 from instok3d.reading import naming_damage, one_of, parse_json
 
 FORMAT = "instok3d-features-1"
@@ -54,9 +54,7 @@ def save_feature_model(
         name: value.half() if half and value.is_floating_point() else value
         for name, value in model.state_dict().items()
     }
-    for name, value in state.items():
-        if not value.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
+    check_finite(state, half=half)
     metadata = {
         "format": FORMAT,
         "method": name_of_model(model),
@@ -99,8 +97,10 @@ def load_feature_model(path: Path, method: FeatureMethodName | None = None) -> F
         slices = {name: stream.get_slice(name) for name in stream.keys()}  # noqa: SIM118
         header = {name: (tuple(s.get_shape()), s.get_dtype()) for name, s in slices.items()}
         check_tensors(build, header)
+        state = {name: stream.get_tensor(name) for name in header}
+        check_finite(state)
         model = build()
-        model.load_state_dict({name: stream.get_tensor(name) for name in header})
+        model.load_state_dict(state)
     return model.eval()
 
 

@@ -11,7 +11,7 @@ from safetensors import safe_open
 from instok3d.baselines.segmenter import Segmenter, SegmenterConfig
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
-from instok3d.model.file_checks import check_tensors, config_of_json
+from instok3d.model.file_checks import check_finite, check_tensors, config_of_json
 from instok3d.reading import naming_damage, one_of, parse_json
 
 FORMAT = "instok3d-segmenter-1"
@@ -33,9 +33,7 @@ def save_segmenter(
         ValueError: A weight is not finite (in float16, where that is asked for).
     """
     state = {name: w.half() if half else w for name, w in model.state_dict().items()}
-    for name, value in state.items():
-        if not value.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
+    check_finite(state, half=half)
     metadata = {
         "format": FORMAT,
         "config": json.dumps(asdict(model.config), allow_nan=False),
@@ -63,9 +61,7 @@ def load_segmenter(path: Path) -> Segmenter:
         header = {name: (tuple(s.get_shape()), s.get_dtype()) for name, s in slices.items()}
         check_tensors(lambda: Segmenter(config), header)
         state = {name: stream.get_tensor(name) for name in header}
-        for name, value in state.items():
-            if not value.isfinite().all():
-                raise ValueError(f"weight {name} is not finite")
+        check_finite(state)
         model = Segmenter(config)
         model.load_state_dict(state)
     return model.eval()

@@ -9,7 +9,7 @@ from threading import get_ident
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from instok3d.model.on_paper import on_paper
@@ -61,6 +61,21 @@ def config_of_json(
         except ValueError as error:
             raise ValueError(f"its {key} of {name}: {error}") from error
     return config_class(**settled)
+
+
+def check_finite(weights: Mapping[str, Tensor], *, half: bool = False) -> None:
+    """Fail if a weight is NaN or infinite: the model's answers would be, far from the cause.
+
+    Args:
+        weights: As they stand in the file.
+        half: The caller made them float16, in which numbers above 65,504 are infinite.
+
+    Raises:
+        ValueError: So it is; names the weight.
+    """
+    for name, value in weights.items():
+        if not value.isfinite().all():
+            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
 
 
 def check_tensors(build: Callable[[], nn.Module], header: Header) -> None:

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
 
 from instok3d.backbones.cost import Outline
 from instok3d.backbones.registry import backbone_names, build_backbone, kind_named, name_of
 from instok3d.data.batches import Unit
 from instok3d.errors import MissingWeightsError
 from instok3d.files import write_safetensors
-from instok3d.model.file_checks import Header, check_tensors, config_of_json
+from instok3d.model.file_checks import Header, check_finite, check_tensors, config_of_json
 from instok3d.model.on_paper import StandIn, without_random_fills
 from instok3d.model.tokenizer import Tokenizer, TokenizerConfig
 from instok3d.reading import UNREADABLE, naming_damage, parse_json, reason_of
@@ -51,13 +50,11 @@ def save_model(model: Tokenizer, path: Path, *, card: Mapping[str, Any], half: b
         ValueError: A weight is not finite (in float16, where that is asked for), or the
             backbone's class is not registered.
     """
-    state: dict[str, Tensor] = {}
-    for name, value in model.state_dict().items():
-        if half and value.is_floating_point():
-            value = value.half()
-        if not value.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
-        state[name] = value
+    state = {
+        name: value.half() if half and value.is_floating_point() else value
+        for name, value in model.state_dict().items()
+    }
+    check_finite(state, half=half)
     kind = name_of(model.backbone)
     metadata = {
         "format": FORMAT,
@@ -82,9 +79,7 @@ def load_model(path: Path | str | None = None) -> Tokenizer:
         with safe_open(path, framework="pt") as stream:
             # Still in the type of the file: the model has float32 of its own, and copies each.
             state = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
-        for name, value in state.items():
-            if not value.isfinite().all():
-                raise ValueError(f"weight {name} is not finite")
+        check_finite(state)
         with without_random_fills():
             model = Tokenizer(build_backbone(sizes), config)
         model.load_state_dict(state)  # every weight: strict

@@ -11,6 +11,7 @@ from torch import Tensor
 from instok3d.backbones.base import BackboneConfig
 from instok3d.backbones.registry import build_backbone, name_of
 from instok3d.files import write_safetensors
+from instok3d.model.file_checks import check_finite
 
 FORMAT = "instok3d-backbone-1"
 
@@ -41,9 +42,7 @@ def save_backbone(
         name: value.half() if half and value.is_floating_point() else value
         for name, value in backbone.state_dict().items()
     }
-    for name, value in state.items():
-        if not value.isfinite().all():
-            raise ValueError(f"weight {name} is not finite{' in float16' if half else ''}")
+    check_finite(state, half=half)
     metadata = {
         "format": FORMAT,
         "backbone": name_of(backbone),
