@@ -15,16 +15,28 @@ from instok3d.training.run_log import read_metrics
 SCRIPT = Path(__file__).resolve().parents[2] / "runs" / "rehearsal.sh"
 
 
+FOUR_ROOMS = """
+import sys
+from instok3d.cli import main
+from instok3d.rooms import generate
+generate.SHARD_SEEDS = 4
+sys.exit(main())
+"""
+"""Rooms are made by whole shards of 16; the small size wants four."""
+
+
 def with_commands(folder: Path) -> dict[str, str]:
     """An environment in which `instok3d`, `python` and `torchrun` are those of this Python."""
     folder.mkdir()
-    for name, words in {
-        "instok3d": "-m instok3d",
-        "python": "",
-        "torchrun": "-m torch.distributed.run",
+    (folder / "four_rooms.py").write_text(FOUR_ROOMS)
+    rooms = f'[ "$1 $2" != "data rooms" ] || exec "{sys.executable}" "{folder}/four_rooms.py" "$@"'
+    for name, lines in {
+        "instok3d": f'{rooms}\nexec "{sys.executable}" -m instok3d "$@"',
+        "python": f'exec "{sys.executable}" "$@"',
+        "torchrun": f'exec "{sys.executable}" -m torch.distributed.run "$@"',
     }.items():
         command = folder / name
-        command.write_text(f'#!/usr/bin/env bash\nexec "{sys.executable}" {words} "$@"\n')
+        command.write_text(f"#!/usr/bin/env bash\n{lines}\n")
         command.chmod(0o755)
     # The sources are found where this process finds them, installed or not.
     return os.environ | {
