@@ -1,11 +1,13 @@
 """What `instok3d diff` says of rooms in which one thing moved, one is gone and one is new.
 
-    python benchmarks/changes.py [--rooms 10] [--first-seed 2000000] [--refine 0] [--show]
+    python benchmarks/changes.py [--rooms 10] [--first-seed 2000000] [--photos 2] [--refine 0]
+        [--show]
 
-Each room is rendered twice, at frames 2 and 4 before and 3 and 5 after, the light left alone. What
-changes is no lamp, carries nothing and shows 150 pixels in each capture that has it; what moves
-stands on the floor, and goes 0.5 to 1.2 m to where nothing stands. Both captures are reconstructed
-from the bare photos. An object is the thing that has most of its pixels.
+Each room is rendered twice, at frames 2 and 4 before and 3 and 5 after (of four photos at 6 and 8
+and at 7 and 9 too), the light left alone. What changes is no lamp, carries nothing and shows 150
+pixels in each capture that has it; what moves stands on the floor, and goes 0.5 to 1.2 m to where
+nothing stands. Both captures are reconstructed from the bare photos. An object is the thing that
+has most of its pixels.
 
 - precision: of the objects that are said to have moved, to be gone or to be new, those that did
 - recall: of the changed things, those of which an object is said to have changed so
@@ -39,7 +41,8 @@ from instok3d.scene.changes.differences import find_differences
 from instok3d.scene.changes.record import Difference
 from instok3d.scene.scene import Scene
 
-BEFORE, AFTER = (2, 4), (3, 5)
+FRAMES = {2: ((2, 4), (3, 5)), 4: ((2, 4, 6, 8), (3, 5, 7, 9))}
+"""Before and after, by the number of photos."""
 SIDE, MIN_PIXELS = 128, 150
 STEPS_M, TURNS = (0.5, 0.7, 0.9, 1.2), 12
 KINDS = ("moved", "gone", "new")
@@ -78,7 +81,7 @@ class ChangedRoom:
 
 @dataclass(frozen=True)
 class Capture:
-    """A scene of two photos, and the true instance of each of its objects, 0 for none."""
+    """A scene of a few photos, and the true instance of each of its objects, 0 for none."""
 
     scene: Scene
     thing_of: dict[int, int]
@@ -87,9 +90,10 @@ class Capture:
 class Pair:
     """A room before and after."""
 
-    def __init__(self, seed: int, refine: int) -> None:
+    def __init__(self, seed: int, refine: int, photos: int) -> None:
         """Render and reconstruct both; `changes` is None where nothing in the room can change."""
         self.streams, self.refine = Streams(seed), refine
+        self.frames = FRAMES[photos]
         self.room = build_room(seed)
         self.renderer = Renderer(self.room, self.streams.child("lights"), find_denoiser())
         path = PathFinder(self.room, self.renderer, self.streams.child("path")).find()
@@ -101,20 +105,22 @@ class Pair:
         """Before and after."""
         assert self.changes is not None
         one, mesh = self.changes, self.room.mesh
-        before = self._captured(ChangedRoom(mesh, one.new), BEFORE)
-        return before, self._captured(ChangedRoom(mesh, one.gone, one.moved, one.by), AFTER)
+        before = self._captured(ChangedRoom(mesh, one.new), self.frames[0])
+        return before, self._captured(
+            ChangedRoom(mesh, one.gone, one.moved, one.by), self.frames[1]
+        )
 
     def _drawn(self, rng: np.random.Generator) -> Changes | None:
         """Three things that are seen well; what moves is still seen where it went."""
         whole = self.renderer.tracer
-        seen = [self._pixels(whole, frames) for frames in (BEFORE, AFTER)]
+        seen = [self._pixels(whole, frames) for frames in self.frames]
         boxes = boxes_of(self.room)
         fit = [each for each in free_things(self.room)
                if min(count[each] for count in seen) >= MIN_PIXELS]  # fmt: skip
         rng.shuffle(fit)
         for moved in fit:
             for by in ways(moved, boxes, self.room, rng):
-                after = self._pixels(ChangedRoom(self.room.mesh, 0, moved, by), AFTER)
+                after = self._pixels(ChangedRoom(self.room.mesh, 0, moved, by), self.frames[1])
                 others = [each for each in fit if each != moved]
                 others = [each for each in others if after[each] >= MIN_PIXELS]
                 if after[moved] >= MIN_PIXELS and len(others) >= 2:
@@ -250,13 +256,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--rooms", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=2_000_000)
+    parser.add_argument("--photos", type=int, default=2, choices=sorted(FRAMES))
     parser.add_argument("--refine", type=int, default=0)
     parser.add_argument("--show", action="store_true", help="print what diff says of each pair")
     given = parser.parse_args()
     counts = {kind: Counts() for kind in KINDS}
     seed, done, apart = given.first_seed, 0, 0
     while done < given.rooms:
-        pair = Pair(seed, given.refine)
+        pair = Pair(seed, given.refine, given.photos)
         seed += 1
         if pair.changes is None:
             continue

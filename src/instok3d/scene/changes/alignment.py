@@ -52,6 +52,8 @@ class Alignment:
     """Distance up to which points count as on a surface, in the second's units."""
     pairs: tuple[tuple[int, int], ...]
     """Rows of objects that agree in place and look."""
+    matches: int = 0
+    """Anchors that agree, where both captures have anchors of one model; else 0."""
 
 
 def align(first: Traits, second: Traits, ups: tuple[Tensor, Tensor], *, seed: int = 0) -> Alignment:
@@ -136,7 +138,7 @@ def _proposals(
     score = torch.cat([_fits(first, second, alike, *part) for part in parts])
     chosen: list[Similarity] = []
     for row in score.argsort(descending=True, stable=True)[: 8 * KEPT].tolist():
-        each = _similarity(rotation[row], translation[row], scale[row])
+        each = similarity(rotation[row], translation[row], scale[row])
         # Triples of the same objects propose the same again and again.
         if all(_differs(each, other, first, second) for other in chosen):
             chosen.append(each)
@@ -175,21 +177,21 @@ def _differs(one: Similarity, other: Similarity, first: Traits, second: Traits) 
 
 def _refined(first: Traits, second: Traits, start: Similarity) -> Alignment:
     """A proposal fitted to points of like colour, in steps of falling reach."""
-    tree = KDTree(_with_colors(second.points, second, second.radius).numpy())
+    tree = KDTree(with_colors(second.points, second, second.radius).numpy())
     found = start
     for step in range(STEPS):
         reach = NEAR + (REACH - NEAR) * max(0.0, 1 - 1.5 * step / STEPS)
         moved = found.points(first.points)
         near, index = tree.query(
-            _with_colors(moved, first, second.radius).numpy(), distance_upper_bound=reach, workers=1
+            with_colors(moved, first, second.radius).numpy(), distance_upper_bound=reach, workers=1
         )
         kept = torch.from_numpy(near < math.inf)
         if int(kept.sum()) < 30:
             break
         weights = (-((torch.from_numpy(near)[kept] / reach) ** 2)).exp()
         target = second.points[torch.from_numpy(index)[kept]]
-        found = _similarity(*fit_similarity(first.points[kept], target, weights))
-    return _measured(first, second, found)
+        found = similarity(*fit_similarity(first.points[kept], target, weights))
+    return measured(first, second, found)
 
 
 def _thinned(traits: Traits) -> Traits:
@@ -201,14 +203,15 @@ def _thinned(traits: Traits) -> Traits:
     )  # fmt: skip
 
 
-def _with_colors(
+def with_colors(
     points: Float[Tensor, "point 3"], traits: Traits, radius: float
 ) -> Float[Tensor, "point 6"]:
     """Points in radii with colours beside them: a usual difference of colour is worth NEAR."""
     return torch.cat([points / max(radius, 1e-12), NEAR * traits.point_colors / COLOR_SPREAD], 1)
 
 
-def _measured(first: Traits, second: Traits, found: Similarity) -> Alignment:
+def measured(first: Traits, second: Traits, found: Similarity) -> Alignment:
+    """How well the surfaces and objects of two captures agree under a similarity."""
     near = NEAR * second.radius
     moved = replace(
         first, points=found.points(first.points), centers=found.points(first.centers),
@@ -261,7 +264,8 @@ def on_surfaces(
     return torch.where(alike, reached, math.inf).amin(dim=1)
 
 
-def _similarity(rotation: Tensor, translation: Tensor, scale: Tensor) -> Similarity:
+def similarity(rotation: Tensor, translation: Tensor, scale: Tensor) -> Similarity:
+    """X -> scale * rotation x + translation, of tensors."""
     x, y, z = translation.tolist()
     w, i, j, k = matrix_to_quat(rotation).tolist()
     return Similarity((x, y, z), (w, i, j, k), float(scale))

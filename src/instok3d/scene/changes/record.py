@@ -43,7 +43,7 @@ class Difference:
     radius: float
     """Median distance of the second scene's points from their middle, its units."""
     tolerance: float
-    """Distance up to which objects count as unchanged, large ones up to `differences.OWN` of
+    """Distance up to which objects count as unchanged, large ones up to `by_surfaces.OWN` of
     their longest side; the second scene's units."""
     unit: str
     """Of lengths in words and values: "m", or "units"."""
@@ -56,8 +56,9 @@ class Difference:
 
     def __str__(self) -> str:
         found = self.alignment
+        on = f"{found.matches} places" if found.matches else f"{len(found.pairs)} objects"
         lines = [
-            f"aligned on {len(found.pairs)} objects: {found.agreement:.0%} of the surfaces agree, "
+            f"aligned on {on}: {found.agreement:.0%} of the surfaces agree, "
             f"to {self.length * found.residual:.3g} {self.unit} "
             f"({found.residual / max(self.radius, 1e-12):.1%} of the room's radius); moves below "
             f"{self.length * self.tolerance:.2g} {self.unit} are not told"
@@ -78,6 +79,7 @@ class Difference:
             "alignment": {
                 "scale": move.scale, "quat_wxyz": list(move.quat_wxyz),
                 "translation": list(move.translation), "shared_objects": len(found.pairs),
+                "shared_places": found.matches,
                 "agreement": found.agreement, "residual": self.length * found.residual,
                 "tolerance": self.length * self.tolerance,
             },

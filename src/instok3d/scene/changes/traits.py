@@ -10,6 +10,7 @@ from torch import Tensor
 
 from instok3d.geometry.spherical_harmonics import SH_CONSTANT
 from instok3d.rooms.seen_colors import LIGHTNESS_WEIGHT, lab
+from instok3d.scene.changes.marks import Marks, marks_of
 from instok3d.scene.objects import SceneObject
 from instok3d.scene.record import SceneRecord
 
@@ -43,6 +44,8 @@ class Traits:
     """Row of each point's object; the number of objects for what belongs to none."""
     spacing: Float[Tensor, " point"]
     """Median distance of neighbours among the points of the same object, scene units."""
+    marks: Marks
+    """Places with a look of their own, by the model."""
 
     @property
     def radius(self) -> float:
@@ -62,7 +65,7 @@ def traits_of(scene: SceneRecord) -> Traits:
     """The traits of a scene; the same for the same scene."""
     drawn = tuple(item for item in scene.objects if not item.hidden)
     gaussians = scene.gaussians.map(lambda value: value.detach().cpu())
-    hues = _weighted_lab(gaussians.sh[:, 0])
+    hues = weighted_lab(gaussians.sh[:, 0].double() * SH_CONSTANT + 0.5)
     solid = gaussians.opacities >= SOLID
     colors = torch.zeros(len(drawn), 3, dtype=torch.float64)
     chosen, owners, end = [], [], sum(item.num_gaussians for item in scene.objects)
@@ -91,6 +94,7 @@ def traits_of(scene: SceneRecord) -> Traits:
         point_colors=hues[index],
         owners=torch.tensor(owners, dtype=torch.long),
         spacing=torch.cat([_spacing(gaussians.means[rows].double()) for rows in chosen]),
+        marks=marks_of(scene, drawn),
     )
 
 
@@ -120,9 +124,10 @@ def unlikeness(
     return torch.stack(parts).square().mean(dim=0).sqrt()
 
 
-def _weighted_lab(constant: Float[Tensor, "gaussian 3"]) -> Float[Tensor, "gaussian 3"]:
-    color = (constant.double() * SH_CONSTANT + 0.5).clamp(0, 1).numpy()
-    return torch.from_numpy(lab(color)) * torch.tensor([LIGHTNESS_WEIGHT, 1.0, 1.0]).double()
+def weighted_lab(colors: Float[Tensor, "*pixel 3"]) -> Float[Tensor, "*pixel 3"]:
+    """Lab of sRGB colours in [0, 1], lightness counting less."""
+    values = torch.from_numpy(lab(colors.double().clamp(0, 1).numpy()))
+    return values * torch.tensor([LIGHTNESS_WEIGHT, 1.0, 1.0]).double()
 
 
 def _spacing(points: Float[Tensor, "point 3"]) -> Float[Tensor, " point"]:
