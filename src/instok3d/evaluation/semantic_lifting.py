@@ -28,6 +28,7 @@ from instok3d.semantics.tokens import (
     SemanticTokens,
     pixel_features,
     render_semantics,
+    turned,
 )
 from instok3d.types import Cameras, Gaussians, TokenGroups, Views
 
@@ -310,12 +311,10 @@ def _fitted(scene: LiftedScene, maps: SemanticMaps) -> SemanticTokens:
     shared = scene.tokens.shared[0]
     before = torch.einsum("gk,gkd->gd", of_basis, shared)
     shown = shares.sum(dim=(0, 2, 3)) > 0
-    fitted = functional.normalize(mean, dim=1) * before.norm(dim=1, keepdim=True)
-    fitted = fitted[:, None] + (shared - before[:, None])
+    fitted = turned(shared, before, mean, shown)
     return SemanticTokens(
-        torch.where(shown[:, None, None], fitted, shared)[None], scene.tokens.residuals,
-        scene.tokens.mixing, scene.tokens.residual_map,
-    )  # fmt: skip
+        fitted[None], scene.tokens.residuals, scene.tokens.mixing, scene.tokens.residual_map
+    )
 
 
 def _each_an_anchor(gaussians: Gaussians) -> Gaussians:

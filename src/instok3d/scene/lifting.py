@@ -20,6 +20,7 @@ from instok3d.semantics.query.encoder import QueryEncoder
 from instok3d.semantics.query.shipped import SHIPPED, load_encoder
 from instok3d.semantics.teachers.file import holds_encoder
 from instok3d.semantics.teachers.opening import open_teacher
+from instok3d.semantics.tokens import turned
 from instok3d.types import TokenGroups, Views
 
 AUTO, NONE = "auto", "none"
@@ -94,9 +95,7 @@ class Lifting:
             totals[rows] += seen.flatten(1) @ whole.flatten(1).T
             pixels[rows] += seen.sum(dim=(1, 2))
         mean = one.of_groups(scene.tokens.assignment)
-        fit = functional.normalize(totals, dim=1) * mean.norm(dim=1, keepdim=True)
-        fit = fit[:, None] + (one.shared - mean[:, None])
-        shared = torch.where((pixels >= MIN_PIXELS)[:, None, None], fit, one.shared)
+        shared = turned(one.shared, mean, totals, pixels >= MIN_PIXELS)
         better = replace(one, shared=shared.half().float())
         return replace(scene, semantics={**scene.semantics, name: better})
 

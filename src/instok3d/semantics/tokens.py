@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from instok3d.model.transformer import Decoder
 from instok3d.render import render
@@ -35,6 +36,26 @@ class SemanticTokens(Flow):
         if self.shared.shape[2] > 1:
             stored.append(self.mixing[0])
         return sum(each.numel() for each in stored)
+
+
+def turned(
+    shared: Float[Tensor, "group basis feature"],
+    means: Float[Tensor, "group feature"],
+    wanted: Float[Tensor, "group feature"],
+    known: Bool[Tensor, " group"],
+) -> Float[Tensor, "group basis feature"]:
+    """Shared features whose mean points elsewhere and is as long as before.
+
+    Each of a group's features differs from their mean as before: what tells parts apart stays.
+
+    Args:
+        shared: s of one scene.
+        means: Of the shared features of each group, as its anchors mix them.
+        wanted: Where each mean should point; of any length.
+        known: Of which groups; the others keep what they have.
+    """
+    aimed = functional.normalize(wanted, dim=1) * means.norm(dim=1, keepdim=True)
+    return torch.where(known[:, None, None], aimed[:, None] + (shared - means[:, None]), shared)
 
 
 @dataclass(frozen=True)
