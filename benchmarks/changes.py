@@ -1,7 +1,7 @@
 """What `instok3d diff` says of rooms in which one thing moved, one is gone and one is new.
 
     python benchmarks/changes.py [--rooms 10] [--first-seed 2000000] [--photos 2] [--refine 0]
-        [--show]
+        [--unchanged] [--show]
 
 Each room is rendered twice, at frames 2 and 4 before and 3 and 5 after (of four photos at 6 and 8
 and at 7 and 9 too), the light left alone. What changes is no lamp, carries nothing and shows 150
@@ -13,6 +13,8 @@ has most of its pixels.
 - recall: of the changed things, those of which an object is said to have changed so
 - shown: of the changed things, those that an object is there of, in each capture that has them:
   what recall could be with these groups
+
+With --unchanged both captures show the room before, and all that is told is wrong.
 """
 
 import argparse
@@ -101,14 +103,13 @@ class Pair:
         self.poses, self.camera = path.poses, intrinsics_of(SIDE, path.fov_deg)
         self.changes = self._drawn(np.random.default_rng(seed))
 
-    def captures(self) -> tuple[Capture, Capture]:
-        """Before and after."""
+    def captures(self, *, unchanged: bool = False) -> tuple[Capture, Capture]:
+        """Before and after; or both before, from the two places."""
         assert self.changes is not None
         one, mesh = self.changes, self.room.mesh
-        before = self._captured(ChangedRoom(mesh, one.new), self.frames[0])
-        return before, self._captured(
-            ChangedRoom(mesh, one.gone, one.moved, one.by), self.frames[1]
-        )
+        old = ChangedRoom(mesh, one.new)
+        new = old if unchanged else ChangedRoom(mesh, one.gone, one.moved, one.by)
+        return self._captured(old, self.frames[0]), self._captured(new, self.frames[1])
 
     def _drawn(self, rng: np.random.Generator) -> Changes | None:
         """Three things that are seen well; what moves is still seen where it went."""
@@ -258,6 +259,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=2_000_000)
     parser.add_argument("--photos", type=int, default=2, choices=sorted(FRAMES))
     parser.add_argument("--refine", type=int, default=0)
+    parser.add_argument("--unchanged", action="store_true", help="show the room before twice")
     parser.add_argument("--show", action="store_true", help="print what diff says of each pair")
     given = parser.parse_args()
     counts = {kind: Counts() for kind in KINDS}
@@ -268,13 +270,17 @@ def main() -> None:
         if pair.changes is None:
             continue
         done += 1
-        before, after = pair.captures()
+        before, after = pair.captures(unchanged=given.unchanged)
         try:
             found = find_differences(before.scene, after.scene)
         except ValueError as reason:
             found, apart = None, apart + 1
             print(f"room {seed - 1}: {reason}", flush=True)
-        count(counts, pair.changes, before, after, found)
+        if given.unchanged:
+            for kind in KINDS:
+                counts[kind].told += 0 if found is None else len(found.of_kind(kind))
+        else:
+            count(counts, pair.changes, before, after, found)
         if given.show and found is not None:
             names = [each.furniture.name for each in pair.room.plan.placed]
             true = {kind: names[getattr(pair.changes, kind) - 1] for kind in KINDS}
