@@ -232,7 +232,7 @@ class ObjectList {
       picture.src = object.picture;
       picture.alt = "";
       chip.style.background = object.color;
-      size.textContent = object.size;
+      size.textContent = object.size + (object.fragment ? ", fragment" : "");
       label.append(object.key, size);
       name.append(picture, chip, label);
       name.addEventListener("click", (event) => page.select(k + 1, event.ctrlKey || event.metaKey));
