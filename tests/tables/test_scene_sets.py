@@ -1,5 +1,6 @@
 import pytest
 
+from capture_folders import write_capture
 from instok3d.tables.scene_sets import (
     SceneSet,
     captures,
@@ -54,6 +55,14 @@ def test_what_is_missing_is_named_with_what_makes_it(rooms, tmp_path):
         transfer_rooms([], "held-out furniture", None, 1)
     with pytest.raises(FileNotFoundError, match="no capture"):
         captures(tmp_path, 32, 2, 1)
+
+
+def test_a_capture_with_a_damaged_photo_is_refused_by_name(tmp_path):
+    write_capture(tmp_path / "captures" / "flat", 4)
+    assert captures(tmp_path / "captures", 32, 2, 1).names == ["flat"]
+    (tmp_path / "captures" / "flat" / "color" / "2.png").write_text("../elsewhere/2.png")
+    with pytest.raises(ValueError, match=r"2\.png"):
+        captures(tmp_path / "captures", 32, 2, 1)
 
 
 def test_digests_tell_lists_apart(rooms):

@@ -183,19 +183,22 @@ def is_held_out(meta: Mapping[str, Any], kind: SceneKind) -> bool:
 
 
 def captures(folder: Path, side: int, views: Views, targets: int) -> CaptureSet:
-    """The captures of a folder that have enough frames.
+    """The captures of a folder that have enough frames; every photo that is used was read once.
 
     Raises:
         FileNotFoundError: There is none.
-        ValueError: One cannot be read, or none has enough frames.
+        ValueError: One or a photo of it cannot be read, or none has enough frames.
     """
     known = read_outlines(OWN_OUTLINES)
-    found = [read_capture(each, side=side, outlines=known) for each in find_captures(folder)]
+    read = [read_capture(each, side=side, outlines=known) for each in find_captures(folder)]
     needed = FRAMES_NEEDED["capture-2view" if views == 2 else "capture-8view"]
-    usable = tuple(each for each in found if each.num_frames(0) >= needed)
+    usable = tuple(each for each in read if each.num_frames(0) >= needed)
     if not usable:
         raise ValueError(f"no capture in {folder} has the {needed} frames that are needed")
-    return CaptureSet(usable, targets)
+    found = CaptureSet(usable, targets)
+    for number in range(len(usable)):
+        found.scene(number, views, None)  # a damaged photo ends the command before any training
+    return found
 
 
 def _checked(folders: Sequence[Path]) -> Iterator[Path]:
