@@ -45,7 +45,9 @@ def sdist(tree: Path) -> Path:
     run(sys.executable, "-c", BUILD, "build_sdist", tree.parent / "dist", cwd=tree)
     (file,) = (tree.parent / "dist").glob("*.tar.gz")
     with tarfile.open(file) as archive:
-        archive.extractall(tree.parent, filter="data")
+        # Before 3.11.4 there are no filters; the archive was made two lines above.
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)
+        archive.extractall(tree.parent)
     return tree.parent / file.name.removesuffix(".tar.gz")
 
 
