@@ -46,13 +46,10 @@ def _plain(value: Any) -> Any:
 
 
 def _objects(value: dict[str, Any] | None) -> ObjectScore | None:
-    return (
-        None
-        if value is None
-        else ObjectScore(
-            **{**value, "purities": tuple(value["purities"]), "weights": tuple(value["weights"])}
-        )
-    )
+    if value is None:
+        return None
+    lists = {name: tuple(value[name]) for name in ("purities", "weights")}
+    return ObjectScore(**{**value, **lists})
 
 
 def _view(value: dict[str, Any]) -> ViewScore:

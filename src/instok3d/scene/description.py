@@ -146,6 +146,8 @@ class Description:
 def describe(scene: "Scene", scale: Scale | None = None, *, most: int = MOST) -> Description:
     """The description of a scene; the same for the same scene. Renders its input views.
 
+    Hidden objects and fragments (`SceneObject.is_fragment`) are left out, and counted.
+
     Args:
         scene: With or without views, labels, semantics.
         scale: None takes what the scene knows itself.

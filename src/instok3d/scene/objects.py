@@ -78,7 +78,8 @@ class SceneObject:
 
         False where no view shows it.
         """
-        if self.confidence >= UNSURE_OF_CUT or not self.sight.masks:  # then nobody looks, maybe
+        # A sure object is none, wherever it is seen: to find its masks after an edit takes renders.
+        if self.confidence >= UNSURE_OF_CUT or not self.sight.masks:
             return False
         masks = self.sight.masks
         share = max(mask.area / (mask.height * mask.width) for mask in masks)
