@@ -68,6 +68,7 @@ def test_what_two_tables_need_is_made_once(made):
     assert files[1]["Uni3R style"]["views"] == files[6]["Uni3R style, test"]["views"]
     assert files[1]["Ours"]["features"] == files[4]["Anchor"]["features"]
     assert files[1]["Uni3R style"]["features"] != files[1]["LSM style"]["features"]
+    assert len(list((made / "masks").rglob("*.safetensors"))) == 1  # of three methods
     names = sorted(p.name.rpartition("-")[0] for p in (made / "trained").iterdir())
     assert names == ["c3g-style", "joint", "lsm-style", "segmenter", "semantics", "uni3r-style"]
 

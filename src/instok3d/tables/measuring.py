@@ -27,16 +27,20 @@ from instok3d.pictures import color_picture, id_picture
 from instok3d.progress import progress_bar
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.cells import Asked, Cell, cell_path, read_cell, write_cell
+from instok3d.tables.code_version import code_hash
 from instok3d.tables.definitions import OnePass, PerScene, Tokenizer
 from instok3d.tables.features import feature_method, measure_lifted, measure_own
+from instok3d.tables.kept_masks import kept_masks
 from instok3d.tables.machine import machine_name
 from instok3d.tables.picture_files import write_picture
 from instok3d.tables.scene_sets import digest
 from instok3d.tables.trained import TrainedModel, trained_model
 from instok3d.tables.trainings import OURS, SEGMENTER
-from instok3d.tables.work import PICTURED, Work
+from instok3d.tables.work import PICTURED, Work, key_of
 from instok3d.version import current_commit
 
+MASKS = "masks"
+"""Folder of the id maps of context views."""
 QUICK_SPLATS = SplatSettings(steps=3, points=200)
 
 
@@ -168,7 +172,20 @@ def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | No
             segment=load_segmenter(paths[SEGMENTER]).masks if SEGMENTER in paths else None,
             seed=settings.seed,
         )  # fmt: skip
+        if row.masks != "true":
+            masks_of = kept_masks(masks_of, _masks_folder(work, asked, settings.seed))
     return METHODS[row.method](settings), masks_of, None
+
+
+def _masks_folder(work: Work, asked: Asked, seed: int) -> Path:
+    """For the masks of a method, which others that are given the same share."""
+    row = asked.method
+    assert isinstance(row, PerScene)
+    key = key_of(
+        masks=row.masks, tracker=row.tracker, seed=seed, code=code_hash("measuring"),
+        weights=[trained_model(work, name).sha256 for name in asked.trainings],
+    )  # fmt: skip
+    return work.folder / MASKS / key
 
 
 def _keep_pictures(

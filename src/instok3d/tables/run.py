@@ -12,7 +12,7 @@ from instok3d.tables.cells import asked_of, cell_path
 from instok3d.tables.definitions import Table
 from instok3d.tables.filled import FilledTable, as_json, as_latex, as_markdown, filled_row
 from instok3d.tables.manipulation import Picture, edited_scenes
-from instok3d.tables.measuring import measure
+from instok3d.tables.measuring import MASKS, measure
 from instok3d.tables.plan import TablesPlan, make_plan
 from instok3d.tables.qualitative import write_edits, write_figures
 from instok3d.tables.trained import train_model, trained_model
@@ -45,7 +45,8 @@ def make_tables(work: Work, tables: Sequence[Table], *, resume: bool = False) ->
         raise FileNotFoundError("; ".join(plan.missing))
     folder.mkdir(parents=True, exist_ok=True)
     with alone_in(folder / LOCK, f"another process makes tables in {folder}; wait for its end"):
-        for place in (folder, folder / "cells", *(folder / "cells").glob("*/")):
+        for place in (folder, folder / "cells", *(folder / "cells").glob("*/"),
+                      *(folder / MASKS).glob("*/")):  # fmt: skip
             remove_leftovers(place)
         _do(work, plan)
         return [path for table in tables for path in write_table(work, table)]
