@@ -3,6 +3,7 @@ from dataclasses import replace
 from instok3d.baselines.registry import METHODS
 from instok3d.evaluation.figures import Figures
 from instok3d.evaluation.semantic_lifting import KINDS
+from instok3d.model.tokenizer import TokenizerConfig
 from instok3d.tables.cells import Asked
 from instok3d.tables.definitions import (
     FEATURE_KEYS,
@@ -35,7 +36,7 @@ SCHEDULE = Schedule(steps=100, seed=4, quick=False, teacher="rooms:x")
 
 
 def test_every_entry_names_what_exists():
-    assert list(ALL) == [1, 2, 3, 4, 5, 6]
+    assert list(ALL) == [1, 2, 3, 4, 5, 6, 7, 8]
     for table in ALL.values():
         labels = [row.label for row in table.rows]
         assert len(set(labels)) == len(labels)
@@ -47,6 +48,8 @@ def test_every_entry_names_what_exists():
             assert row.features is None or row.features in (*KINDS, OWN)
             if isinstance(row.method, Tokenizer | OnePass):
                 assert row.method.training in {OURS, *TRAININGS}
+            if isinstance(row.method, Tokenizer):
+                assert {name for name, _ in row.method.changed} <= set(vars(TokenizerConfig()))
             assert (row.features == OWN) <= isinstance(row.method, OnePass)
             if isinstance(row.method, PerScene):
                 assert row.method.method in METHODS
@@ -93,6 +96,24 @@ def test_rivals_differ_in_one_thing_and_train_as_long():
     assert broken.stage == joint.stage
     assert {c.seed for c in (joint, *halves, without, broken)} == {4}
     assert vars(config_of(SEMANTICS, SCHEDULE).stage)["teacher"] == "rooms:x"
+
+
+def test_each_deviation_is_left_out_alone():
+    left_out = {
+        "no-anchor-loss": ({"assignment_weight": 0.0}, {}),
+        "no-self-attention": ({}, {"anchor_self_attention": False, "group_self_attention": False}),
+        "no-projection": ({}, {"project_assignment": False}),
+    }
+    named = {row.method.training for row in ALL[7].rows if isinstance(row.method, Tokenizer)}
+    assert named == {JOINT, *left_out}
+    for quick in (False, True):
+        schedule = replace(SCHEDULE, quick=quick)
+        stage = vars(config_of(JOINT, schedule).stage)
+        for name, (of_stage, sizes) in left_out.items():
+            other = config_of(name, schedule)
+            expected = {**stage, **of_stage, "tokenizer": replace(stage["tokenizer"], **sizes)}
+            assert vars(other.stage) == expected != stage
+            assert other.steps == config_of(JOINT, schedule).steps
 
 
 def test_other_models_train_in_the_time_of_ours_with_the_encoder_of_ours():

@@ -13,6 +13,9 @@ from instok3d.tables.trainings import (
     C3G,
     JOINT,
     LSM,
+    NO_ANCHOR_LOSS,
+    NO_PROJECTION,
+    NO_SELF_ATTENTION,
     NO_WARMUP,
     OURS,
     SEQUENTIAL,
@@ -37,6 +40,8 @@ class Tokenizer:
     geometry: GeometryMode = "predicted"
     refine: int = 0
     """Steps of refinement on the context photos."""
+    changed: tuple[tuple[str, int], ...] = ()
+    """Settings of `TokenizerConfig` that differ from those of the training."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +129,7 @@ _PER_SCENE: tuple[tuple[str, str, MethodName, str], ...] = (
 
 
 def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[int, Table]:
-    """All six tables.
+    """The paper's six tables, and two of our own deviations.
 
     Args:
         masks: That methods are given in Table 2, a row for each.
@@ -189,6 +194,19 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
         )),
         Table(6, "Transfer without fine-tuning, 2 context views", 2, (*PICTURES, *MASKS),
               tuple(transfer)),
+        Table(7, "Own deviations, each left out of training, 2 context views", 2,
+              (*PICTURES, *MASKS), (
+            Row("Ours", joint),
+            Row("without the anchors' own loss", Tokenizer(NO_ANCHOR_LOSS)),
+            Row("without self-attention", Tokenizer(NO_SELF_ATTENTION)),
+            Row("without projections before the assignment", Tokenizer(NO_PROJECTION)),
+        )),
+        Table(8, "Own deviations, each left out after training, 8 context views", 8,
+              (*PICTURES, *MASKS), (
+            Row("Ours", ours),
+            Row("all views at once, no windows", Tokenizer(OURS, changed=(("window_views", 0),))),
+            Row("free space not thinned", Tokenizer(OURS, changed=(("thin_free_space", False),))),
+        )),
     )  # fmt: skip
     return {table.number: table for table in each}
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -161,7 +162,9 @@ def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | No
     if isinstance(row, Tokenizer):
         path = paths[row.training]
         steps = min(row.refine, QUICK_SPLATS.steps) if work.schedule.quick else row.refine
-        return TokenizerMethod(load_model(path), row.geometry, steps), None, read_unit(path)
+        model = load_model(path)
+        model.config = replace(model.config, **dict(row.changed))
+        return TokenizerMethod(model, row.geometry, steps), None, read_unit(path)
     assert isinstance(row, PerScene)
     settings = _splats(work)
     masks_of = None

@@ -28,6 +28,9 @@ OURS = "ours"
 """The model of a file where one is given, else JOINT."""
 JOINT, NO_WARMUP, RENDERING, SEQUENTIAL = "joint", "no-warmup", "rendering", "sequential"
 BROKEN, SEMANTICS = "broken-tracks", "semantics"
+NO_ANCHOR_LOSS, NO_SELF_ATTENTION = "no-anchor-loss", "no-self-attention"
+NO_PROJECTION = "no-projection"
+"""Each without one of our deviations from the paper (docs/paper_map.md)."""
 LSM, UNI3R, C3G = "lsm-style", "uni3r-style", "c3g-style"
 """Models of one pass with a feature for each Gaussian (`baselines.feature_method`)."""
 SEGMENTER = "segmenter"
@@ -48,6 +51,8 @@ class Training:
     preset: str = "nano-tokenizer"
     stage: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the stage."""
+    sizes: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of its tokenizer."""
     masks: str | None = None
     """See `TrainConfig.masks`."""
     after: str | None = None
@@ -69,6 +74,11 @@ TRAININGS: dict[str, Training] = {
     RENDERING: Training(stage={"trained": "rendering"}, share=0.5),
     SEQUENTIAL: Training(stage={"trained": "grouping"}, after=RENDERING, share=0.5),
     BROKEN: Training(masks=BROKEN_TRACKS),
+    NO_ANCHOR_LOSS: Training(stage={"assignment_weight": 0.0}),
+    NO_SELF_ATTENTION: Training(
+        sizes={"anchor_self_attention": False, "group_self_attention": False}
+    ),
+    NO_PROJECTION: Training(sizes={"project_assignment": False}),
     SEMANTICS: Training(
         "nano-semantics", after=OURS, share=_PICTURES_AND_FEATURES - 1, update_s=SEMANTICS_UPDATE_S
     ),
@@ -121,6 +131,9 @@ def config_of(name: str, schedule: Schedule) -> TrainConfig:
     if schedule.quick:
         batches = replace(config.batches, batch_size=1, views=(2,))
         stage, config = quick_stage(stage), replace(config, batches=batches, holdout=1)
+    if training.sizes:
+        assert isinstance(stage, TokenizerStageConfig)
+        stage = replace(stage, tokenizer=replace(stage.tokenizer, **training.sizes))
     return replace(
         config,
         stage=stage,
