@@ -55,6 +55,14 @@ def test_every_entry_names_what_exists():
                 assert row.method.method in METHODS
 
 
+def test_rows_with_views_have_one_reference_on_the_same_scenes():
+    for table in ALL.values():
+        with_views = [row for row in table.rows if row.method is not None]
+        for kind in {row.scenes for row in with_views}:
+            (reference,) = (row for row in with_views if row.scenes == kind and row.reference)
+            assert reference.label.startswith("Ours")
+
+
 def test_masks_make_rows_that_name_them_and_true_ones_are_an_upper_bound():
     rows = {row.label: row for row in ALL[2].rows}
     assert rows["ObjectGS, masks true"].upper_bound

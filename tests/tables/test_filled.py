@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import pytest
 
+from instok3d.evaluation.differences import Difference
 from instok3d.tables.cells import Cell
 from instok3d.tables.definitions import Column, Row, Table, Tokenizer
 from instok3d.tables.filled import (
@@ -47,6 +48,20 @@ def test_the_best_rows_are_bold_and_upper_bounds_are_not_compared():
     seen = replace(seen, row=replace(seen.row, compared=False))
     assert filled(row("one"), row("two", psnr=20.0), seen).best() >= {(0, 0)}
     assert not any(number == 2 for number, _ in filled(row("one"), row("two"), seen).best())
+
+
+def test_rows_are_compared_with_the_reference_where_they_can_be():
+    ours, other = row("ours"), row("other")
+    found = {"psnr": Difference(-1.25, 0.5), "lpips": Difference(0.1, 0.0)}
+    other = replace(other, differences=found)
+    lines = as_markdown(filled(other, ours)).splitlines()
+    start = lines.index("| method | PSNR | LPIPS |")
+    assert lines[start + 2] == "| other | -1.2 ± 0.5 | +0.1 ± 0.0 |"
+    assert not lines[start + 3]
+    assert "± the standard error" not in as_markdown(filled(ours))
+    known = [each["minus_reference"] for each in as_json(filled(other, ours))["rows"]]
+    assert known[0]["psnr"] == {"value": -1.25, "standard_error": 0.5}
+    assert known[1] == {}
 
 
 def test_every_row_says_where_it_comes_from():

@@ -93,6 +93,8 @@ class Row:
     """Whether the figures have a column of it, as the paper's have of such a row."""
     compared: bool = True
     """With the others for what is best; not where it sees the photo that the others predict."""
+    reference: bool = False
+    """The others on the same scenes are compared with it one by one."""
     upper_bound: bool = False
     """Given more than a photo: not compared with the others for what is best."""
 
@@ -149,7 +151,7 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
         for method in _PER_SCENE
     ]
     transfer = [
-        Row(f"{label}, {kind}", method, scenes=kind,
+        Row(f"{label}, {kind}", method, scenes=kind, reference=method == ours,
             without=NO_MASKS if kind == "captures" or method != ours else frozenset())
         for kind in SCENE_KINDS
         for label, method in (("Uni3R style", OnePass(UNI3R)), ("Ours", ours))
@@ -164,7 +166,7 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
             Row("C3G style", OnePass(C3G), OWN),
             Row("one feature per pixel, our scenes", features=PIXELS, pictured=False),
             Row("one feature per Gaussian, our scenes", features=GAUSSIANS, pictured=False),
-            Row("Ours", ours, features=BOTH),
+            Row("Ours", ours, features=BOTH, reference=True),
         )),
         Table(2, "Class-agnostic instances and reconstruction with 8 context views", 8,
               (*MASKS, *PICTURES), (
@@ -173,14 +175,14 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
             *per_scene,
             Row("Ours, cameras and depth given", Tokenizer(OURS, "given"), kind="feed-forward",
                 pictured=False, upper_bound=True),
-            Row("Ours", ours, kind="feed-forward"),
+            Row("Ours", ours, kind="feed-forward", reference=True),
             Row(f"Ours, refined in {REFINED_STEPS} steps", Tokenizer(OURS, refine=REFINED_STEPS),
                 kind="feed-forward + optimization", pictured=False),
         )),
         Table(3, "Joint reconstruction and grouping, 2 context views", 2, (*PICTURES, *MASKS), (
             Row("sequential", Tokenizer(SEQUENTIAL)),
             Row("without warm-up", Tokenizer(NO_WARMUP)),
-            Row("Ours", joint),
+            Row("Ours", joint, reference=True),
         )),
         Table(4, "Decomposed feature lifting, 2 context views", 2, TARGET, (
             Row("Anchor", features=ANCHOR),
@@ -190,20 +192,20 @@ def tables(masks: Sequence[MaskSource], tracker: Tracker | None = None) -> dict[
         Table(5, "Training on simulated broken tracks, 2 context views", 2, (*PICTURES, *MASKS), (
             Row("C3G style", OnePass(C3G), without=NO_MASKS),
             Row("Ours, broken tracks", Tokenizer(BROKEN)),
-            Row("Ours, true tracks", joint, upper_bound=True),
+            Row("Ours, true tracks", joint, upper_bound=True, reference=True),
         )),
         Table(6, "Transfer without fine-tuning, 2 context views", 2, (*PICTURES, *MASKS),
               tuple(transfer)),
         Table(7, "Own deviations, each left out of training, 2 context views", 2,
               (*PICTURES, *MASKS), (
-            Row("Ours", joint),
+            Row("Ours", joint, reference=True),
             Row("without the anchors' own loss", Tokenizer(NO_ANCHOR_LOSS)),
             Row("without self-attention", Tokenizer(NO_SELF_ATTENTION)),
             Row("without projections before the assignment", Tokenizer(NO_PROJECTION)),
         )),
         Table(8, "Own deviations, each left out after training, 8 context views", 8,
               (*PICTURES, *MASKS), (
-            Row("Ours", ours),
+            Row("Ours", ours, reference=True),
             Row("all views at once, no windows", Tokenizer(OURS, changed=(("window_views", 0),))),
             Row("free space not thinned", Tokenizer(OURS, changed=(("thin_free_space", False),))),
         )),

@@ -1,9 +1,10 @@
 """A table with its figures, as Markdown, LaTeX and JSON."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from instok3d.evaluation.differences import Difference
 from instok3d.tables.cells import Asked, Cell
 from instok3d.tables.definitions import FEATURE_KEYS, Column, Row, Table
 from instok3d.tables.features import figure_name
@@ -26,6 +27,8 @@ class FilledRow:
     """By 'views' and 'features'."""
     files: Mapping[str, str]
     """Where they lie, relative to the folder of the tables."""
+    differences: Mapping[str, Difference] = field(default_factory=dict)
+    """By the names of columns: this row minus the reference on the same scenes."""
 
     def figure(self, table: Table, column: Column) -> float | None:
         """The figure of a column; None where the row has none by its nature.
@@ -87,7 +90,7 @@ class FilledTable:
 
 
 def as_markdown(filled: FilledTable) -> str:
-    """The table, and under it where each row comes from."""
+    """The table, how far each row is from the reference, and where each row comes from."""
     table, best = filled.table, filled.best()
     head = [*_kinds(table, "type"), "method", *(column.title for column in table.columns)]
     lines = [f"### Table {table.number}: {table.title}", "", _bar(head), "|---" * len(head) + "|"]
@@ -96,7 +99,8 @@ def as_markdown(filled: FilledTable) -> str:
         cells = [f"**{x}**" if (place, n) in best else x for n, x in enumerate(cells)]
         label = f"{row.row.label} (upper bound)" if row.row.upper_bound else row.row.label
         lines.append(_bar([*_kinds(table, row.row.kind), label, *cells]))
-    lines += ["", *(f"- {note}" for note in [*filled.notes, *_origins(filled)])]
+    lines += ["", *_differences(filled)]
+    lines += [f"- {note}" for note in [*filled.notes, *_origins(filled)]]
     return "\n".join(lines) + "\n"
 
 
@@ -136,6 +140,7 @@ def as_json(filled: FilledTable) -> dict[str, Any]:
                 "figures": dict(zip(keys, values, strict=True)),
                 "cells": {name: asdict(cell) for name, cell in row.cells.items()},
                 "files": dict(row.files),
+                "minus_reference": {k: asdict(d) for k, d in row.differences.items()},
             }
             for row, values in zip(filled.rows, filled.figures(), strict=True)
         ],
@@ -147,12 +152,17 @@ def escaped(text: str) -> str:
     return "".join(_ESCAPES.get(sign, sign) for sign in text)
 
 
-def filled_row(row: Row, measured: Sequence[tuple[Asked, Cell, str]]) -> FilledRow:
+def filled_row(
+    row: Row,
+    measured: Sequence[tuple[Asked, Cell, str]],
+    differences: Mapping[str, Difference],
+) -> FilledRow:
     """A row with what was measured of it: each with its cell and the cell's file."""
     return FilledRow(
         row,
         {asked.of: cell for asked, cell, _ in measured},
         {asked.of: file for asked, _, file in measured},
+        differences,
     )
 
 
@@ -170,6 +180,31 @@ def _cell(value: float | None, column: Column) -> str:
 
 def _text(value: float, column: Column) -> str:
     return f"{value:,.{column.decimals}f}"
+
+
+def _differences(filled: FilledTable) -> list[str]:
+    """A table of the rows that are compared with a reference; no line where none is."""
+    rows = [row for row in filled.rows if row.differences]
+    known = {key for row in rows for key in row.differences}
+    columns = [each for each in filled.table.columns if each.key in known]
+    if not rows:
+        return []
+    lines = [
+        "Minus the reference, ± the standard error over the choice of scenes:",
+        "",
+        _bar(["method", *(column.title for column in columns)]),
+        "|---" * (1 + len(columns)) + "|",
+    ]
+    for row in rows:
+        texts = [_difference(row.differences.get(column.key), column) for column in columns]
+        lines.append(_bar([row.row.label, *texts]))
+    return [*lines, ""]
+
+
+def _difference(found: Difference | None, column: Column) -> str:
+    if found is None:
+        return NOTHING
+    return f"{found.value:+.{column.decimals}f} ± {found.standard_error:.{column.decimals}f}"
 
 
 def _origins(filled: FilledTable) -> list[str]:

@@ -110,17 +110,15 @@ def _views(
     with progress_bar(len(scenes.names), unit="scene") as bar:
         bar.set_description(title)
         for number in range(len(scenes.names)):
-            part = folder / f"{number:05d}.json"
+            part = folder / part_name(number)
             if not part.is_file():
                 measured = measured or _measurer(work, asked, folder)
                 started = time.monotonic()
                 score = score_to_json(measured(number))
                 write_json(part, {"score": score, "seconds": time.monotonic() - started})
-            remedy = "remove it, the scene is then measured again"
-            with naming_damage(part, remedy):
-                value = read_json(part, remedy)
-                scores.append(score_from_json(value["score"]))
-                seconds += value["seconds"]
+            score, took = read_score(part)
+            scores.append(score)
+            seconds += took
             bar.update()
     figures = {
         name: None if value is None else float(value)
@@ -128,6 +126,29 @@ def _views(
         if name != "counts"
     }
     return figures, seconds
+
+
+def read_score(part: Path) -> tuple[SceneScore, float]:
+    """What was measured of one scene, and the seconds that it took.
+
+    Raises:
+        FileNotFoundError: It was not measured yet.
+        ValueError: The file is damaged.
+    """
+    remedy = "remove it, the scene is then measured again"
+    with naming_damage(part, remedy):
+        value = read_json(part, remedy)
+        return score_from_json(value["score"]), value["seconds"]
+
+
+def read_scores(folder: Path, count: int) -> list[SceneScore]:
+    """Of the first so many scenes in the folder of a cell; see `read_score`."""
+    return [read_score(folder / part_name(number))[0] for number in range(count)]
+
+
+def part_name(number: int) -> str:
+    """Of the file of a scene in the folder of a cell."""
+    return f"{number:05d}.json"
 
 
 def _measurer(work: Work, asked: Asked, folder: Path) -> Callable[[int], SceneScore]:

@@ -1,18 +1,21 @@
 """The tables from their plan: train, measure, write."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
+from instok3d.evaluation.differences import Difference, differences
+from instok3d.evaluation.scores import SceneScore
 from instok3d.files import replacing, write_json
 from instok3d.locking import alone_in, remove_leftovers
 from instok3d.model.files import load_model
 from instok3d.progress import StatusLine, format_duration
 from instok3d.tables.cells import asked_of, cell_path
-from instok3d.tables.definitions import Table
+from instok3d.tables.definitions import FEATURE_KEYS, SceneKind, Table
 from instok3d.tables.filled import FilledTable, as_json, as_latex, as_markdown, filled_row
 from instok3d.tables.manipulation import Picture, edited_scenes
-from instok3d.tables.measuring import MASKS, measure
+from instok3d.tables.measuring import MASKS, measure, read_scores
 from instok3d.tables.plan import TablesPlan, make_plan
 from instok3d.tables.qualitative import write_edits, write_figures
 from instok3d.tables.trained import train_model, trained_model
@@ -76,15 +79,17 @@ def write_table(work: Work, table: Table) -> list[Path]:
         FileNotFoundError: A cell is not.
         ValueError: A figure is missing.
     """
-    rows, folders = [], []
+    measured_rows, folders = [], []
     for row, asked in asked_of(table):
         paths = {each.of: cell_path(work, each) for each in asked}
         measured = [
             (each, measure(work, each, row.label), str(paths[each.of].relative_to(work.folder)))
             for each in asked
         ]
-        rows.append(filled_row(row, measured))
+        measured_rows.append((row, measured))
         folders.append((row, {of: path.with_suffix("") for of, path in paths.items()}))
+    found = _differences(work, table, {row.label: files for row, files in folders})
+    rows = [filled_row(row, cells, found.get(row.label, {})) for row, cells in measured_rows]
     filled = FilledTable(table, tuple(rows), _notes(work))
     texts = {"md": as_markdown(filled), "tex": as_latex(filled)}
     value = as_json(filled)
@@ -97,6 +102,36 @@ def write_table(work: Work, table: Table) -> list[Path]:
             part.write_text(text)
     write_json(stem.with_suffix(".json"), value)
     return [stem.with_suffix(each) for each in (".md", ".tex", ".json")] + figures
+
+
+def _differences(
+    work: Work, table: Table, folders: Mapping[str, Mapping[str, Path]]
+) -> dict[str, Mapping[str, Difference]]:
+    """Of each row from the reference on the same scenes, by the label of the row.
+
+    Args:
+        work: Where the cells lie.
+        table: All of it was measured.
+        folders: Of the cells of each row, by its label and 'views' or 'features'.
+    """
+    with_views = [row for row in table.rows if "views" in folders[row.label]]
+    references = {row.scenes: row for row in with_views if row.reference}
+    keys = [each.key for each in table.columns if each.better and each.key not in FEATURE_KEYS]
+
+    @cache
+    def scores(label: str, kind: SceneKind) -> list[SceneScore]:
+        count = len(work.scenes(kind, table.views).names)
+        return read_scores(folders[label]["views"], count)
+
+    return {
+        row.label: differences(
+            scores(row.label, row.scenes),
+            scores(reference.label, row.scenes),
+            [key for key in keys if key not in row.without | reference.without],
+        )
+        for row in with_views
+        if (reference := references.get(row.scenes)) not in (None, row)
+    }
 
 
 def _edits(work: Work, table: Table) -> list[list[Picture]]:
