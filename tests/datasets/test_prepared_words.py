@@ -41,7 +41,10 @@ def test_instances_have_the_word_of_most_of_their_labelled_pixels(folder: Path):
     """Of instance 3 the label is not in the table, of 4 there is none."""
     (folder / TABLE).write_text(ROWS)
     words = PreparedScenes(folder).frames(0, [0, 1]).words
-    assert words == {1: ObjectWords("chair"), 2: ObjectWords("coffee table")}
+    assert words == {
+        1: ObjectWords("chair", nyu40="chair"),
+        2: ObjectWords("coffee table", nyu40="table"),
+    }
     assert PreparedScenes(folder).frames(0, []).words == {}
 
 

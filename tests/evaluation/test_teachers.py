@@ -56,6 +56,13 @@ def test_true_classes_of_pixels(scene: SceneFrames):
     assert (lsm[ids == 0] == -1).all()
 
 
+def test_the_class_of_the_data_set_goes_before_the_word():
+    words = {1: ObjectWords("office chair", nyu40="chair"), 2: ObjectWords("couch")}
+    rooms, lsm = true_classes(torch.tensor([[[1, 2]]]), words)
+    assert lsm.tolist() == [[[LSM_CLASSES.index("chair"), LSM_CLASSES.index("other")]]]
+    assert rooms.tolist() == [[[-1, -1]]]
+
+
 def test_a_teacher_that_is_always_right(scene: SceneFrames):
     quality = measure_teacher(ToldTeacher(scene), [scene])
     assert quality.rooms.mean_iou() == quality.rooms.accuracy() == 1

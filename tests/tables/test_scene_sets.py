@@ -1,14 +1,12 @@
 import pytest
 
 from capture_folders import write_capture
+from instok3d.tables.data_sets import digest, training_digest, training_folders
 from instok3d.tables.scene_sets import (
     SceneSet,
     captures,
-    digest,
     is_held_out,
     rooms_to_test,
-    training_digest,
-    training_folders,
     transfer_rooms,
 )
 

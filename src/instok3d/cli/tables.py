@@ -1,4 +1,4 @@
-"""`instok3d tables`: the paper's tables on rooms, by one command."""
+"""`instok3d tables`: the paper's tables on rooms or the paper's data, by one command."""
 
 import sys
 from pathlib import Path
@@ -18,6 +18,7 @@ def run(
     data: tuple[Path, ...],
     output: Annotated[Path, arg(aliases=["-o"])],
     captures: Path | None = None,
+    index: Path | None = None,
     quick: bool = False,
     resume: bool = False,
     dry_run: bool = False,
@@ -44,9 +45,11 @@ def run(
         numbers: Which tables: 1 to 6 as in the paper, 7 and 8 of our own deviations from it; all by
             default.
         data: Folders of rooms to train on (seeds from 0), to test on (from 2000000) and, for
-            Table 6, of transfer rooms (from 3000000).
+            Table 6, of transfer rooms (from 3000000). Or prepared folders: ScanNet, for Table 5
+            RealEstate10K with masks of SAM 2, for Table 6 MipNeRF360 (instok3d data prepare).
         output: Folder of the tables.
-        captures: A folder of captures of real rooms for Table 6.
+        captures: A folder of captures of real rooms for Table 6 on rooms.
+        index: The evaluation index of RealEstate10K, a JSON file, for Table 5 on that data set.
         quick: Toy sizes and two scenes: shows that all parts fit together, and nothing else.
         resume: Go on in a folder that holds tables.
         dry_run: Print what would be trained and measured, and the hours; write nothing.
@@ -80,10 +83,10 @@ def run(
     if semantics is not None and model is None:
         raise ValueError("--semantics is of a given model: name it with --model")
     work = _work(
-        data, output, captures, quick, steps, seed, scenes, method_steps, model, semantics,
+        data, output, captures, index, quick, steps, seed, scenes, method_steps, model, semantics,
         segmenter, backbone, teacher, lpips, threads,
     )  # fmt: skip
-    known = tables(masks, tracker)
+    known = tables(masks, tracker, work.schedule.of)
     asked = [known[n] for n in known if "all" in numbers or str(n) in numbers]
     if lpips is None:
         asked = [without_lpips(table) for table in asked]
@@ -98,6 +101,7 @@ def _work(
     data: tuple[Path, ...],
     output: Path,
     captures: Path | None,
+    index: Path | None,
     quick: bool,
     steps: int | None,
     seed: int,
@@ -116,11 +120,17 @@ def _work(
     from instok3d.objectives.lpips import load_lpips
     from instok3d.semantics.query.shipped import SHIPPED
     from instok3d.semantics.teachers.opening import open_teacher
+    from instok3d.tables.data_sets import tables_of
     from instok3d.tables.trainings import QUICK_STEPS, Schedule
     from instok3d.tables.work import Work
 
     rule = QUICK_STEPS if quick else 3000
     is_default = model == "default"
+    of = tables_of(data)
+    if captures is not None and of != "rooms":
+        raise ValueError("--captures is of Table 6 on rooms: leave it out for prepared scenes")
+    if index is not None and of == "rooms":
+        raise ValueError("--index is of RealEstate10K: leave it out for rooms")
     return Work(
         folder=output,
         data=data,
@@ -131,9 +141,11 @@ def _work(
             teacher=teacher or f"rooms:{SHIPPED}",
             channels=Schedule.channels if teacher is None else open_teacher(teacher).channels,
             threads=threads,
+            of=of,
         ),
         num_scenes=scenes,
         captures=captures,
+        re10k_index=index,
         backbone=backbone or DEFAULT_MODEL,
         model=None if model is None else DEFAULT_MODEL if is_default else Path(model),
         semantics=SHIPPED if is_default and semantics is None else semantics,

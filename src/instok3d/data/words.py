@@ -13,3 +13,5 @@ class ObjectWords:
     """The name of the colour that its pixels show."""
     material: str = ""
     """Of which most of its surface is made."""
+    nyu40: str = ""
+    """Its NYU40 class as the data set's own table has it; empty where that follows from label."""

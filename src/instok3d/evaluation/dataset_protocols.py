@@ -101,28 +101,46 @@ def protocol_scenes(
     if num_scenes is not None and num_scenes < 1:
         raise ValueError(f"the number of scenes must be at least 1, got {num_scenes}")
     for number in range(min(len(scenes), num_scenes or len(scenes))):
-        info = scenes.record(number).info
-        if info.dataset not in DATASETS[protocol]:
-            raise ValueError(
-                f"scene {info.name} is of {info.dataset}, {protocol} is for "
-                f"{' or '.join(DATASETS[protocol])}; choose the protocol of the data set"
-            )
-        unit: Unit = "metre" if info.unit == "metre" and model_unit != "baseline" else "baseline"
-        samples = []
+        scene = protocol_scene(scenes, number, protocol, choose, model_unit=model_unit)
+        if scene is not None:
+            yield scene
+
+
+def protocol_scene(
+    scenes: PreparedScenes,
+    number: int,
+    protocol: DatasetProtocol,
+    choose: ChooseFrames,
+    *,
+    model_unit: Unit | None = None,
+) -> ProtocolScene | None:
+    """One scene of `protocol_scenes`; None, with a warning, where the protocol cannot use it."""
+    info = scenes.record(number).info
+    if info.dataset not in DATASETS[protocol]:
+        raise ValueError(
+            f"scene {info.name} is of {info.dataset}, {protocol} is for "
+            f"{' or '.join(DATASETS[protocol])}; choose the protocol of the data set"
+        )
+    unit: Unit = "metre" if info.unit == "metre" and model_unit != "baseline" else "baseline"
+    samples = []
+    for choice in usable_choices(scenes, number, choose):
         try:
-            choices = choose(scenes, number)
-        except UnusableSceneError as error:
+            samples.append(make_sample(scenes, number, choice, unit=unit))
+        except NoBaselineError as error:
             warnings.warn(f"scene {info.name}: {error}", stacklevel=2)
-            choices = []
-        for choice in choices:
-            try:
-                samples.append(make_sample(scenes, number, choice, unit=unit))
-            except NoBaselineError as error:
-                warnings.warn(f"scene {info.name}: {error}", stacklevel=2)
-        if samples:
-            yield ProtocolScene(info.name, None, tuple(samples), unit)
-        else:
-            warnings.warn(f"scene {info.name} has no sample by {protocol}", stacklevel=2)
+    if samples:
+        return ProtocolScene(info.name, None, tuple(samples), unit)
+    warnings.warn(f"scene {info.name} has no sample by {protocol}", stacklevel=2)
+    return None
+
+
+def usable_choices(scenes: PreparedScenes, number: int, choose: ChooseFrames) -> list[FrameChoice]:
+    """The samples of a scene; none, with a warning, where its frames are not those asked for."""
+    try:
+        return choose(scenes, number)
+    except UnusableSceneError as error:
+        warnings.warn(f"scene {scenes.name_of(number)}: {error}", stacklevel=2)
+        return []
 
 
 class UnusableSceneError(ValueError):

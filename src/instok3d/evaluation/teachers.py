@@ -57,10 +57,11 @@ def true_classes(
     ids, places = instances.unique(return_inverse=True)
     found = torch.full((2, len(ids)), -1)
     for place, number in enumerate(ids.tolist()):
-        label = words[number].label if number in words else ""
-        if label:
+        known = words.get(number)
+        if known is not None and known.label:
+            label = known.label
             found[0, place] = ROOM_CLASSES.index(label) if label in ROOM_CLASSES else -1
-            found[1, place] = lsm_class(label)
+            found[1, place] = lsm_class(known.nyu40 or label)
     return found[:, places]
 
 

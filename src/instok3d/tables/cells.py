@@ -9,8 +9,8 @@ from typing import Any
 from instok3d.files import write_json
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.code_version import code_hash
+from instok3d.tables.data_sets import digest
 from instok3d.tables.definitions import OnePass, PerScene, Row, Table, Tokenizer, Views
-from instok3d.tables.scene_sets import digest
 from instok3d.tables.trained import trained_model
 from instok3d.tables.trainings import OURS, SEGMENTER, SEMANTICS
 from instok3d.tables.work import Work, key_of

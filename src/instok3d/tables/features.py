@@ -27,6 +27,7 @@ from instok3d.evaluation.semantic_lifting import (
     measure_lifting,
 )
 from instok3d.evaluation.teachers import nearest_class
+from instok3d.evaluation.tokenizer_method import GeometryMode
 from instok3d.model.files import load_model
 from instok3d.pictures import color_picture, id_picture
 from instok3d.progress import progress_bar
@@ -36,7 +37,7 @@ from instok3d.semantics.teacher import Teacher
 from instok3d.semantics.teachers.file import holds_encoder
 from instok3d.semantics.teachers.opening import open_teacher
 from instok3d.tables.cells import Asked, semantics_file
-from instok3d.tables.definitions import OWN
+from instok3d.tables.definitions import OWN, OnePass
 from instok3d.tables.picture_files import write_picture
 from instok3d.tables.trained import trained_model
 from instok3d.tables.trainings import OURS
@@ -105,9 +106,11 @@ def measure_own(
         ValueError: No pixel has a class.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (training,) = asked.trainings
+    assert isinstance(asked.method, OnePass)
     teacher = _teacher(work.schedule.teacher)
-    method = feature_method(work, trained_model(work, training).path)
+    method = feature_method(
+        work, trained_model(work, asked.method.training).path, asked.method.geometry
+    )
     phrases = teacher.text(PHRASES)
     started = time.monotonic()
     shown: dict[str, int] = {}
@@ -130,11 +133,11 @@ def measure_own(
     return figures, time.monotonic() - started
 
 
-def feature_method(work: Work, path: Path) -> FeatureMethod:
-    """The model of one pass of a file, which sees bare photos."""
+def feature_method(work: Work, path: Path, geometry: GeometryMode) -> FeatureMethod:
+    """The model of one pass of a file, with what it sees of the context views."""
     model = load_feature_model(path)
     teacher = _teacher(work.schedule.teacher) if model.takes_features else None
-    return FeatureMethod(model, "predicted", teacher)
+    return FeatureMethod(model, geometry, teacher)
 
 
 @lru_cache(maxsize=1)

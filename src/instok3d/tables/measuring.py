@@ -21,7 +21,7 @@ from instok3d.evaluation.run import EvaluationSettings, score_scene
 from instok3d.evaluation.score_files import score_from_json, score_to_json
 from instok3d.evaluation.scores import SceneScore
 from instok3d.evaluation.sheet import recolored
-from instok3d.evaluation.tokenizer_method import TokenizerMethod
+from instok3d.evaluation.tokenizer_method import GeometryMode, TokenizerMethod
 from instok3d.files import write_json
 from instok3d.model.files import load_model, read_unit
 from instok3d.pictures import color_picture, id_picture
@@ -29,12 +29,12 @@ from instok3d.progress import progress_bar
 from instok3d.reading import naming_damage, read_json
 from instok3d.tables.cells import Asked, Cell, cell_path, read_cell, write_cell
 from instok3d.tables.code_version import code_hash
+from instok3d.tables.data_sets import digest
 from instok3d.tables.definitions import OnePass, PerScene, Tokenizer
 from instok3d.tables.features import feature_method, measure_lifted, measure_own
 from instok3d.tables.kept_masks import kept_masks
 from instok3d.tables.machine import machine_name
 from instok3d.tables.picture_files import write_picture
-from instok3d.tables.scene_sets import digest
 from instok3d.tables.trained import TrainedModel, trained_model
 from instok3d.tables.trainings import OURS, SEGMENTER
 from instok3d.tables.work import PICTURED, Work, key_of
@@ -154,12 +154,12 @@ def part_name(number: int) -> str:
 def _measurer(work: Work, asked: Asked, folder: Path) -> Callable[[int], SceneScore]:
     """What measures one scene, with the models that it takes loaded once."""
     method, masks_of, unit = _method(work, asked)
-    given = "cameras" in method.needs
-    captures = asked.row.scenes == "captures"
+    # As `evaluate` has it: instances of a few pixels are not demanded of rooms and captures.
+    smallest = 20 if work.schedule.of == "rooms" else 0
     settings = EvaluationSettings(
-        geometry="given" if given else "predicted",
+        geometry=_geometry(method),
         model_unit=unit,
-        ap=ApSettings(min_instance_area=20),
+        ap=ApSettings(min_instance_area=smallest),
     )
 
     @torch.no_grad()
@@ -168,18 +168,25 @@ def _measurer(work: Work, asked: Asked, folder: Path) -> Callable[[int], SceneSc
         score, predictions = score_scene(
             method, scene, settings, lpips=work.lpips, masks_of=masks_of
         )
-        if number < PICTURED and not captures:
+        if number < PICTURED and asked.row.scenes == "test":
             _keep_pictures(folder, number, scene.samples, predictions)
         return score
 
     return measured
 
 
+def _geometry(method: Method) -> GeometryMode:
+    """What a method is told of the context views."""
+    if "cameras" in method.needs:
+        return "given"
+    return "intrinsics" if "intrinsics" in method.needs else "predicted"
+
+
 def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | None]:
     row = asked.method
     paths = {name: trained_model(work, name).path for name in asked.trainings}
     if isinstance(row, OnePass):
-        return feature_method(work, paths[row.training]), None, None
+        return feature_method(work, paths[row.training], row.geometry), None, None
     if isinstance(row, Tokenizer):
         path = paths[row.training]
         steps = min(row.refine, QUICK_SPLATS.steps) if work.schedule.quick else row.refine

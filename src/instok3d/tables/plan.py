@@ -33,7 +33,7 @@ class TablesPlan:
 
     steps: tuple[Step, ...]
     missing: tuple[str, ...] = ()
-    """Rooms and captures that are not there, each with what makes them."""
+    """Scenes that are not there, each with what makes them."""
 
     @property
     def hours(self) -> float:
@@ -53,7 +53,8 @@ def make_plan(work: Work, tables: Sequence[Table]) -> TablesPlan:
     names = list(dict.fromkeys(name for _, each in asked for name in each.trainings))
     order = needed(names, [name for name in names if file_of(work, name) is not None])
     try:
-        _ = order and work.training_digest
+        for name in order:
+            work.training_digest(name)
     except FileNotFoundError as error:
         return TablesPlan((), (str(error), *missing))
     return TablesPlan(

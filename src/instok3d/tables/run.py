@@ -147,7 +147,9 @@ def _test_names(work: Work, table: Table) -> Sequence[str]:
 
 
 def _notes(work: Work) -> tuple[str, ...]:
-    notes = ["Rendered rooms, not ScanNet: compare rows with each other, not with the paper."]
+    notes: list[str] = []
+    if work.schedule.of == "rooms":
+        notes.append("Rendered rooms, not ScanNet: compare rows with each other, not the paper's.")
     if work.schedule.quick:
         notes.insert(0, "QUICK: toy sizes that show that all parts fit; the figures mean nothing.")
     if work.lpips is None:

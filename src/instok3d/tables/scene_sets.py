@@ -3,8 +3,7 @@
 Which rooms are for what follows from their seeds: training, test, transfer.
 """
 
-import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -24,7 +23,8 @@ from instok3d.rooms.materials import HELD_OUT_MATERIALS
 from instok3d.rooms.objects.base import HELD_OUT_GENERATORS
 from instok3d.rooms.room import HELD_OUT_ROOM_TYPE
 from instok3d.rooms.seeding import split_seeds
-from instok3d.rooms.shards import INDEX, read_index
+from instok3d.rooms.shards import read_index
+from instok3d.tables.data_sets import listed
 from instok3d.tables.definitions import SceneKind, Views
 
 TARGETS_PER_SCENE = 3
@@ -43,11 +43,6 @@ class SceneSet(Protocol):
     def scene(self, number: int, views: Views, unit: Unit | None) -> ProtocolScene:
         """One of them, read when it is asked for, for a model that answers in this unit."""
         ...
-
-
-def digest(names: Sequence[str]) -> str:
-    """SHA-256 of a list of scenes, by their names in order."""
-    return hashlib.sha256("\n".join(names).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -95,36 +90,6 @@ class CaptureSet:
         return next(iter(found))
 
 
-def training_folders(folders: Sequence[Path]) -> list[Path]:
-    """Those that hold rooms of the training split.
-
-    Raises:
-        FileNotFoundError: None does, or one holds no rooms.
-    """
-    found = [
-        folder for folder in _checked(folders) if len(RoomDataset(folder, split_seeds("train")))
-    ]
-    if not found:
-        raise FileNotFoundError(
-            f"no room to train on in {_listed(folders)}; make some with: "
-            "instok3d data rooms -o DIR --seeds 0:2000, and name that folder in --data too"
-        )
-    return found
-
-
-def training_digest(folders: Sequence[Path]) -> str:
-    """SHA-256 of the training rooms: their generator, size and seeds."""
-    parts = []
-    for folder in folders:
-        index = read_index(folder)
-        parts.append(
-            repr({key: index[key] for key in ("generator_version", "resolution", "level")})
-        )
-        rooms = RoomDataset(folder, split_seeds("train"))
-        parts += [rooms.name_of(number) for number in range(len(rooms))]
-    return digest(parts)
-
-
 def rooms_to_test(folders: Sequence[Path], num_scenes: int | None, targets: int) -> RoomSet:
     """The test rooms of the folder that has some.
 
@@ -132,7 +97,7 @@ def rooms_to_test(folders: Sequence[Path], num_scenes: int | None, targets: int)
         FileNotFoundError: No folder has, or some were never made.
         ValueError: There are fewer than were asked for.
     """
-    for folder in _checked(folders):
+    for folder in folders:
         dataset = RoomDataset(folder, range(TEST_SEEDS.start, TEST_SEEDS.stop))
         if len(dataset):
             seeds = [dataset.seed_of(number) for number in range(len(dataset))]
@@ -141,7 +106,7 @@ def rooms_to_test(folders: Sequence[Path], num_scenes: int | None, targets: int)
             indices = room_indices(seeds, rejected=rejected, num_scenes=num_scenes)
             return RoomSet(dataset, tuple(indices), targets)
     raise FileNotFoundError(
-        f"no test room in {_listed(folders)}; make them with: instok3d data rooms -o DIR --seeds "
+        f"no test room in {listed(folders)}; make them with: instok3d data rooms -o DIR --seeds "
         f"{TEST_SEEDS.start}:{TEST_SEEDS.stop}, and name that folder in --data too"
     )
 
@@ -160,14 +125,14 @@ def transfer_rooms(
     Raises:
         FileNotFoundError: There is no such room.
     """
-    for folder in _checked(folders):
+    for folder in folders:
         dataset = RoomDataset(folder, split_seeds("transfer"))
         indices = [n for n in range(len(dataset)) if is_held_out(dataset.meta_of(n), kind)]
         if indices:
             return RoomSet(dataset, tuple(indices[:num_scenes]), targets)
     start = split_seeds("transfer").start
     raise FileNotFoundError(
-        f"no transfer room with {kind} in {_listed(folders)}; make some with: instok3d data rooms "
+        f"no transfer room with {kind} in {listed(folders)}; make some with: instok3d data rooms "
         f"-o DIR --seeds {start}:{start + 200}, and name that folder in --data too"
     )
 
@@ -199,16 +164,3 @@ def captures(folder: Path, side: int, views: Views, targets: int) -> CaptureSet:
     for number in range(len(usable)):
         found.scene(number, views, None)  # a damaged photo ends the command before any training
     return found
-
-
-def _checked(folders: Sequence[Path]) -> Iterator[Path]:
-    for folder in folders:
-        if not (folder / INDEX).is_file():
-            raise FileNotFoundError(
-                f"{folder} holds no rooms ({INDEX}); tables are made of rooms: instok3d data rooms"
-            )
-        yield folder
-
-
-def _listed(folders: Sequence[Path]) -> str:
-    return ", ".join(map(str, folders))

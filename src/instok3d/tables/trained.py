@@ -52,7 +52,7 @@ def folder_of(work: Work, name: str) -> Path:
     config = config_of(name, work.schedule)
     key = key_of(
         config=to_json(replace(config, threads=None)),
-        rooms=work.training_digest,
+        rooms=work.training_digest(name),
         first=_first_digest(work, name),
         code=code_hash("training"),
     )
@@ -128,7 +128,7 @@ def train_model(work: Work, name: str) -> TrainedModel:
         return trained_model(work, name)
     folder, config = folder_of(work, name), config_of(name, work.schedule)
     folder.mkdir(parents=True, exist_ok=True)
-    source = open_training_scenes(work.training_folders, masks=config.masks)
+    source = open_training_scenes(work.training_folders(name), masks=config.masks)
     resume = has_checkpoint(folder / RUN)
     outcome = train(
         config, config.stage.build(), source, folder / RUN, resume=resume,

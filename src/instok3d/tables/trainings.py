@@ -2,12 +2,13 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from instok3d.backbones.nano.backbone import NanoConfig
 from instok3d.baselines.pixel_features import PixelFeatureConfig
 from instok3d.baselines.query_gaussians import QueryGaussianConfig
 from instok3d.baselines.segmenter import SegmenterConfig
+from instok3d.data.batches import BatchConfig
 from instok3d.data.broken_tracks import BROKEN_TRACKS
 from instok3d.model.gaussian_head import GaussianHeadConfig
 from instok3d.model.pixel_gaussians import PixelGaussianConfig
@@ -24,6 +25,10 @@ from instok3d.training.stages.semantics import SemanticsStageConfig
 from instok3d.training.stages.stage import StageConfig
 from instok3d.training.stages.tokenizer import TokenizerStageConfig
 
+TablesOf = Literal["rooms", "scannet"]
+"""What Tables 1 to 4 are made of, and what their methods are trained on."""
+TrainingData = Literal["rooms", "scannet", "re10k"]
+
 OURS = "ours"
 """The model of a file where one is given, else JOINT."""
 JOINT, NO_WARMUP, RENDERING, SEQUENTIAL = "joint", "no-warmup", "rendering", "sequential"
@@ -33,6 +38,8 @@ NO_PROJECTION = "no-projection"
 """Each without one of our deviations from the paper (docs/paper_map.md)."""
 LSM, UNI3R, C3G = "lsm-style", "uni3r-style", "c3g-style"
 """Models of one pass with a feature for each Gaussian (`baselines.feature_method`)."""
+RE10K, RE10K_C3G = "re10k", "re10k-c3g-style"
+"""Of Table 5 where the tables are made of the paper's data sets."""
 SEGMENTER = "segmenter"
 """Finds the masks that methods of Table 2 are given."""
 
@@ -53,6 +60,8 @@ class Training:
     """Settings of the stage."""
     sizes: Mapping[str, Any] = field(default_factory=dict)
     """Settings of its tokenizer."""
+    data: Literal["main", "re10k"] = "main"
+    """main: what Tables 1 to 4 are made of."""
     masks: str | None = None
     """See `TrainConfig.masks`."""
     after: str | None = None
@@ -86,6 +95,8 @@ TRAININGS: dict[str, Training] = {
     UNI3R: Training("nano-uni3r-style", share=_PICTURES_AND_FEATURES, update_s=1.8),
     C3G: Training("nano-c3g-style", share=_PICTURES_AND_FEATURES, update_s=6.0),
     SEGMENTER: Training("nano-segmenter", update_s=1.5),
+    RE10K: Training(stage={"given_probability": 0.0}, data="re10k", masks="sam2"),
+    RE10K_C3G: Training("nano-c3g-style", data="re10k", share=_PICTURES_AND_FEATURES, update_s=6.0),
 }
 """The two halves of the sequential training have half of the steps each: equal compute."""
 
@@ -111,6 +122,12 @@ class Schedule:
     channels: int = 256
     """Of its features; 256 has the one that comes with instok3d."""
     threads: int | None = None
+    of: TablesOf = "rooms"
+
+
+def data_of(name: str, schedule: Schedule) -> TrainingData:
+    """What a training sees."""
+    return "re10k" if TRAININGS[name].data == "re10k" else schedule.of
 
 
 def config_of(name: str, schedule: Schedule) -> TrainConfig:
@@ -137,12 +154,22 @@ def config_of(name: str, schedule: Schedule) -> TrainConfig:
     return replace(
         config,
         stage=stage,
+        batches=_sampled(config.batches, data_of(name, schedule)),
         masks=training.masks,
         seed=schedule.seed,
         steps=steps,
         warmup_steps=min(config.warmup_steps, steps // 4),
         threads=schedule.threads,
     )
+
+
+def _sampled(batches: BatchConfig, data: TrainingData) -> BatchConfig:
+    """Frames as the papers draw them of their data sets."""
+    if data == "rooms":
+        return batches
+    if data == "scannet":
+        return replace(batches, sampling="scannet")
+    return replace(batches, sampling="re10k", unit="baseline", views=(2,))
 
 
 def _taught(stage: StageConfig, training: Training, schedule: Schedule) -> StageConfig:

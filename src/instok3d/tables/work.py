@@ -10,8 +10,13 @@ from typing import Any
 from instok3d.evaluation.protocols import ProtocolScene
 from instok3d.model.files import DEFAULT_MODEL, read_card
 from instok3d.objectives.lpips import Lpips
-from instok3d.rooms.shards import read_index
 from instok3d.scene.reconstruct import IMAGE_SIDE
+from instok3d.tables.data_sets import (
+    prepared_set,
+    side_of,
+    training_digest,
+    training_folders,
+)
 from instok3d.tables.definitions import SceneKind, Views
 from instok3d.tables.digests import digest_of
 from instok3d.tables.scene_sets import (
@@ -19,11 +24,9 @@ from instok3d.tables.scene_sets import (
     SceneSet,
     captures,
     rooms_to_test,
-    training_digest,
-    training_folders,
     transfer_rooms,
 )
-from instok3d.tables.trainings import Schedule
+from instok3d.tables.trainings import Schedule, TrainingData, data_of
 
 QUICK_SCENES, QUICK_TARGETS = 2, 1
 PICTURED = 3
@@ -36,7 +39,7 @@ class Work:
 
     folder: Path
     data: tuple[Path, ...]
-    """Folders of rooms."""
+    """Folders of rooms, or of prepared scenes (`data_sets`)."""
     schedule: Schedule
     num_scenes: int | None = None
     """The first so many of each set; None for all."""
@@ -54,18 +57,23 @@ class Work:
     lpips: Lpips | None = None
     command: str = ""
     """That is written into the cells."""
+    re10k_index: Path | None = None
+    """The evaluation index of RealEstate10K."""
+    digests: dict[TrainingData, str] = field(default_factory=dict, repr=False)
+    """Of training scenes, those that were asked for."""
     sets: dict[tuple[SceneKind, Views], SceneSet] = field(default_factory=dict, repr=False)
     """Those that were opened."""
 
-    @cached_property
-    def training_folders(self) -> list[Path]:
-        """Folders with rooms to train on."""
-        return training_folders(self.data)
+    def training_folders(self, name: str) -> list[Path]:
+        """Folders with the scenes that a training sees."""
+        return training_folders(self.data, data_of(name, self.schedule))
 
-    @cached_property
-    def training_digest(self) -> str:
-        """Of the rooms that are there to train on as the command begins."""
-        return training_digest(self.training_folders)
+    def training_digest(self, name: str) -> str:
+        """Of the scenes to train on that are there as the command begins."""
+        data = data_of(name, self.schedule)
+        if data not in self.digests:
+            self.digests[data] = training_digest(training_folders(self.data, data))
+        return self.digests[data]
 
     @cached_property
     def backbone_digest(self) -> str:
@@ -102,6 +110,8 @@ class Work:
         return self.sets[kind, views]
 
     def _opened(self, kind: SceneKind, views: Views) -> SceneSet:
+        if self.schedule.of == "scannet":
+            return prepared_set(self.data, kind, views, self.limit, self.re10k_index)
         if kind == "test":
             return rooms_to_test(self.data, self.limit, self._targets)
         if kind != "captures":
@@ -111,7 +121,7 @@ class Work:
                 "Table 6 asks for captures of real rooms: give a folder of them with --captures DIR"
             )
         if self.model is None:
-            side = read_index(self.training_folders[0])["resolution"]
+            side = side_of(training_folders(self.data)[0])
         else:
             side = int(read_card(self.model).get("image_side", IMAGE_SIDE))
         return captures(self.captures, side, views, self._targets)

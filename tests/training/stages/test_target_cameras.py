@@ -60,3 +60,19 @@ def test_cameras_that_stand_together_take_the_scale_of_the_depths(sample):
     )
     centers = invert_rigid(cameras.cam_from_world)[..., :3, 3]
     torch.testing.assert_close(centers, torch.tensor([0.4, 0.0, 0.0]).expand(2, 2, 3))
+
+
+def test_without_depth_targets_come_to_where_all_cameras_are_predicted(sample):
+    """RealEstate10K has no depth; a young model may predict all cameras at one place."""
+    geometry = predicted_in_units_of(2.5, sample)
+    together = geometry.cameras.cam_from_world[:, :1].expand(-1, 2, -1, -1).clone()
+    cameras = replace(geometry.cameras, cam_from_world=together)
+    blind = replace(sample.context, depths=torch.zeros_like(sample.context.depths))
+    found = target_cameras_in_prediction(
+        replace(geometry, cameras=cameras), blind, sample.target, "baselines"
+    )
+    centers = invert_rigid(found.cam_from_world)[..., :3, 3]
+    expected = invert_rigid(together)[:, :1, :3, 3].expand_as(centers)
+    torch.testing.assert_close(centers, expected, atol=2e-3, rtol=0)
+    with pytest.raises(ValueError, match="true depth"):
+        target_cameras_in_prediction(geometry, blind, sample.target, "depths")

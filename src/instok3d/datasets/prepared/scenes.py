@@ -58,7 +58,7 @@ class PreparedScenes:
                 "they serve for masks alone: delete them, or prepare them again with cameras"
             )
         table = self.folder / TABLE
-        self._class_names = read_label_table(table).names if table.is_file() else {}
+        self._classes = read_label_table(table) if table.is_file() else None
         self._names = tuple(name for name, _ in kept)
         self._counts = tuple(entry["num_frames"] for _, entry in kept)
         if masks is not None:
@@ -105,7 +105,7 @@ class PreparedScenes:
         images = [_read_png(folder, "images", k, (*shape[1:], 3)) for k in chosen]
         ids = self._layer(record, folder, self._id_layer, chosen)
         depths = self._layer(record, folder, "depths", chosen)
-        labels = self._layer(record, folder, "labels", chosen) if self._class_names else None
+        labels = self._layer(record, folder, "labels", chosen) if self._classes else None
         return SceneFrames(
             name=self._names[number],
             images=torch.from_numpy(np.stack(images))
@@ -115,7 +115,7 @@ class PreparedScenes:
             depths_m=torch.zeros(shape) if depths is None else depths.float() / 1000,
             world_from_cam=torch.from_numpy(record.world_from_cam[list(chosen)]),
             intrinsics=torch.from_numpy(record.intrinsics[list(chosen)]),
-            words={} if ids is None or labels is None else self._words(ids, labels),
+            words=self._words(ids, labels),
         )
 
     def labels(
@@ -127,16 +127,20 @@ class PreparedScenes:
 
     def _words(
         self,
-        ids: Int[Tensor, "frame height width"],
-        labels: Int[Tensor, "frame height width"],
+        ids: Int[Tensor, "frame height width"] | None,
+        labels: Int[Tensor, "frame height width"] | None,
     ) -> dict[int, ObjectWords]:
+        classes = self._classes
+        if classes is None or ids is None or labels is None:
+            return {}
         inside = (ids > 0) & (labels > 0)
         pairs, counts = torch.stack([ids[inside], labels[inside]]).unique(dim=1, return_counts=True)
         words: dict[int, ObjectWords] = {}
         for place in counts.argsort(stable=True).tolist():  # the most frequent one stays
-            name = self._class_names.get(int(pairs[1, place]), "")
-            if name:
-                words[int(pairs[0, place])] = ObjectWords(name.lower())
+            raw_id = int(pairs[1, place])
+            if name := classes.names.get(raw_id, ""):
+                nyu40 = classes.nyu40_names.get(raw_id, "").lower()
+                words[int(pairs[0, place])] = ObjectWords(name.lower(), nyu40=nyu40)
         return words
 
     def _layer(

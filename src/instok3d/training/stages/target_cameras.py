@@ -68,7 +68,9 @@ def target_cameras_in_prediction(
     for scene in range(len(context.images)):
         predicted = geometry.cameras.cam_from_world[scene].float()
         true = true_context.cam_from_world[scene]
-        if scale_from == "baselines" and min(map(_path, (predicted, true))) > SHORTEST_BASELINE:
+        apart = min(map(_path, (predicted, true))) > SHORTEST_BASELINE
+        # Without depth, cameras that are predicted at one place bring the targets there too.
+        if scale_from == "baselines" and (apart or not (context.depths[scene] > 0).any()):
             scale = baseline_scale(predicted, true)
         else:
             scale = float(depth_scale(geometry.depths[scene].float(), context.depths[scene]))
