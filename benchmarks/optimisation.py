@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
 import tyro
@@ -30,6 +31,7 @@ from instok3d.evaluation.tokenizer_method import GeometryMode, TokenizerMethod
 from instok3d.model.files import load_model
 from instok3d.model.tokenizer import Tokenizer
 from instok3d.rooms import RoomDataset
+from instok3d.tables.kept_masks import kept_masks
 
 NAMES: dict[MethodName, str] = {
     "3dgs": "3DGS", "gaussian-grouping": "Gaussian Grouping", "objectgs": "ObjectGS",
@@ -118,11 +120,12 @@ def measured(options: Options) -> Iterator[Row]:
             yield measure(
                 name, steps, Timed(TokenizerMethod(tokenizer, mode, steps)), mode, options
             )
-    masks_of = given_masks(options, tokenizer)
-    for name in options.methods:
-        for steps in options.steps:
-            method = Timed(METHODS[name](SplatSettings(steps=steps)))
-            yield measure(NAMES[name], steps, method, "given", options, masks_of)
+    with TemporaryDirectory() as folder:
+        masks_of = kept_masks(given_masks(options, tokenizer), Path(folder))
+        for name in options.methods:
+            for steps in options.steps:
+                method = Timed(METHODS[name](SplatSettings(steps=steps)))
+                yield measure(NAMES[name], steps, method, "given", options, masks_of)
 
 
 def measure(

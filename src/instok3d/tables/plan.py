@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from instok3d.tables.cells import Asked, asked_of, cell_path
-from instok3d.tables.definitions import OnePass, PerScene, Table, Tokenizer
+from instok3d.tables.definitions import OnePass, PerScene, Table, Tokenizer, Views
 from instok3d.tables.trained import file_of, is_trained
 from instok3d.tables.trainings import JOINT, OURS, TRAININGS, config_of, needed
 from instok3d.tables.work import Work
 
-FEATURES_S, TOKENIZER_S, ONE_PASS_S, REFINED_S, PER_SCENE_S = 6.0, 1.5, 1.5, 12.0, 26.0
+FEATURES_S, ONE_PASS_S, REFINED_S, PER_SCENE_S = 6.0, 1.5, 12.0, 26.0
+TOKENIZER_S: dict[Views, float] = {2: 1.5, 8: 5.0}
 """For a scene of 128 x 128 pixels on one core, about."""
 QUICK_S = 2.0
 """Of a step at toy sizes."""
@@ -125,7 +126,7 @@ def _scene_s(asked: Asked) -> float:
     if isinstance(method, OnePass):
         return ONE_PASS_S
     assert isinstance(method, Tokenizer)
-    return REFINED_S if method.refine else TOKENIZER_S
+    return REFINED_S if method.refine else TOKENIZER_S[asked.views]
 
 
 def plan_text(plan: TablesPlan) -> str:
