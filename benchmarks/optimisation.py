@@ -150,7 +150,8 @@ def given_masks(options: Options, tokenizer: Tokenizer) -> MasksOf:
     """Those of the context views."""
     segmenter = None if options.segmenter is None else load_segmenter(options.segmenter)
     segment = None if segmenter is None else segmenter.masks
-    return context_masks(options.masks, options.tracker, model=tokenizer, segment=segment)
+    geometry_of = tokenizer.backbone
+    return context_masks(options.masks, options.tracker, geometry_of=geometry_of, segment=segment)
 
 
 def plot(rows: Sequence[Row], file: Path) -> None:

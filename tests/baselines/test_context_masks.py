@@ -9,7 +9,7 @@ from instok3d.baselines.context_masks import context_masks
 from instok3d.data.batches import make_sample
 from instok3d.data.sample import photos_only
 from instok3d.data.view_sampling import FrameChoice
-from instok3d.types import TokenGroups, Views
+from instok3d.types import Geometry, Views
 
 SAMPLE = make_sample(FlatRooms([0], ["easy"]), 0, FrameChoice((5, 7, 9, 11), (8,)))
 TRUE = SAMPLE.context_instances[0]
@@ -28,15 +28,15 @@ def test_tracking_by_true_depth_finds_the_true_ids_again():
 def test_predicted_depth_is_that_of_the_model_of_bare_photos():
     seen: list[Views] = []
 
-    def model(views: Views) -> TokenGroups:
+    def geometry_of(views: Views) -> Geometry:
         seen.append(views)
-        return oracle(SAMPLE, unit=1.7)(views)
+        return oracle(SAMPLE, unit=1.7)(views).geometry
 
     nowhere = replace(SAMPLE, context=replace(SAMPLE.context, depths=torch.zeros(1, 4, 32, 32)))
-    found = context_masks("true", "predicted-depth", model=model)(nowhere)
+    found = context_masks("true", "predicted-depth", geometry_of=geometry_of)(nowhere)
     assert torch.equal(found, context_masks("true", "true-depth")(SAMPLE))
     assert seen[0].cam_from_world is seen[0].depths is seen[0].intrinsics is None
-    with pytest.raises(ValueError, match="needs a model"):
+    with pytest.raises(ValueError, match="needs a geometry network"):
         context_masks("true", "predicted-depth")
 
 

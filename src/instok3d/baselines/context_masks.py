@@ -11,8 +11,7 @@ from instok3d.baselines.degraded_masks import degraded_masks
 from instok3d.baselines.flow_tracking import require_opencv, tracked_by_flow
 from instok3d.baselines.tracking import tracked, unmatched
 from instok3d.data.sample import Sample, photos_only
-from instok3d.evaluation.tokenizer_method import Model
-from instok3d.types import Cameras
+from instok3d.types import Cameras, Geometry, Views
 
 MaskSource = Literal["true", "degraded", "segmenter"]
 """true: of the data. degraded: these, with the faults of a segmentation network in each view.
@@ -23,6 +22,8 @@ depth and cameras, true or of a geometry network. flow2d: by optical flow. none:
 
 Segment = Callable[[Float[Tensor, "view 3 height width"]], Int[Tensor, "view height width"]]
 """The masks of each photo alone, ids in each anew; 0 = none."""
+GeometryOf = Callable[[Views], Geometry]
+"""The backbone of a model."""
 MasksOf = Callable[[Sample], Int[Tensor, "view height width"]]
 
 
@@ -56,7 +57,7 @@ def context_masks(
     source: MaskSource,
     tracker: Tracker,
     *,
-    model: Model | None = None,
+    geometry_of: GeometryOf | None = None,
     segment: Segment | None = None,
     seed: int = 0,
 ) -> MasksOf:
@@ -65,17 +66,17 @@ def context_masks(
     Args:
         source: Of the masks.
         tracker: How ids come to hold across views.
-        model: Whose geometry of the bare photos predicted-depth takes.
+        geometry_of: A geometry network, which predicted-depth shows the bare photos.
         segment: Finds the masks of the source segmenter.
         seed: Of the faults, which also depend on the name of the sample.
 
     Raises:
-        ValueError: See `check_masks`; or predicted-depth without a model, or segmenter without one.
+        ValueError: See `check_masks`; or predicted-depth or segmenter without its network.
         ModuleNotFoundError: flow2d without OpenCV.
     """
     check_masks(source, tracker)
-    if tracker == "predicted-depth" and model is None:
-        raise ValueError("tracker predicted-depth needs a model whose geometry it takes, got None")
+    if tracker == "predicted-depth" and geometry_of is None:
+        raise ValueError("tracker predicted-depth needs a geometry network, got None")
     if source == "segmenter" and segment is None:
         raise ValueError("masks of a segmenter need the segmenter, got None")
     if tracker == "flow2d":
@@ -96,8 +97,8 @@ def context_masks(
         if tracker == "flow2d":
             return tracked_by_flow(masks, context.images[0])
         if tracker == "predicted-depth":
-            assert model is not None
-            geometry = model(photos_only(context)).geometry
+            assert geometry_of is not None
+            geometry = geometry_of(photos_only(context))
             return tracked(masks, geometry.depths[0], geometry.cameras.scene(0))
         if context.depths is None or context.cam_from_world is None or context.intrinsics is None:
             raise ValueError(f"{sample.names[0]} has no true depth to track masks by")

@@ -99,8 +99,9 @@ def measured_method(name: MethodName, steps: int | None, masks: GivenMasks) -> M
     model = load_model(masks.model) if tracker == "predicted-depth" else None
     segmenter = None if masks.segmenter is None else load_segmenter(masks.segmenter)
     masks_of = context_masks(
-        source, tracker, model=model, segment=segmenter and segmenter.masks, seed=settings.seed
-    )
+        source, tracker, geometry_of=model and model.backbone,
+        segment=segmenter and segmenter.masks, seed=settings.seed,
+    )  # fmt: skip
     given = f"masks {source}"
     if masks.segmenter is not None:
         given = f"{given} {masks.segmenter.name} sha256:{sha256_of(masks.segmenter)[:12]}"

@@ -199,7 +199,7 @@ def _method(work: Work, asked: Asked) -> tuple[Method, MasksOf | None, Unit | No
     if row.masks is not None and row.tracker is not None:
         masks_of = context_masks(
             row.masks, row.tracker,
-            model=load_model(paths[OURS]) if OURS in paths else None,
+            geometry_of=load_model(paths[OURS]).backbone if OURS in paths else None,
             segment=load_segmenter(paths[SEGMENTER]).masks if SEGMENTER in paths else None,
             seed=settings.seed,
         )  # fmt: skip
