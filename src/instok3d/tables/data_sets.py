@@ -125,13 +125,6 @@ def _training_names(folder: Path) -> list[str]:
     return [f"{name} {index[name]['sha256']}" for name in kept]
 
 
-def side_of(folder: Path) -> int:
-    """Height of the pictures of the training scenes of a folder, pixels."""
-    if data_set_of(folder) == "rooms":
-        return read_rooms_index(folder)["resolution"]
-    return PreparedScenes(folder).record(0).height
-
-
 @dataclass(frozen=True)
 class PreparedSet:
     """Test scenes of a prepared folder that a protocol of the papers can use."""

@@ -10,10 +10,10 @@ from typing import Any
 from instok3d.evaluation.protocols import ProtocolScene
 from instok3d.model.files import DEFAULT_MODEL, read_card
 from instok3d.objectives.lpips import Lpips
+from instok3d.rooms.shards import read_index
 from instok3d.scene.reconstruct import IMAGE_SIDE
 from instok3d.tables.data_sets import (
     prepared_set,
-    side_of,
     training_digest,
     training_folders,
 )
@@ -121,7 +121,7 @@ class Work:
                 "Table 6 asks for captures of real rooms: give a folder of them with --captures DIR"
             )
         if self.model is None:
-            side = side_of(training_folders(self.data)[0])
+            side = read_index(training_folders(self.data)[0])["resolution"]
         else:
             side = int(read_card(self.model).get("image_side", IMAGE_SIDE))
         return captures(self.captures, side, views, self._targets)
