@@ -135,18 +135,56 @@ def match_image(
     )
 
 
+@dataclass(frozen=True)
+class RankedMasks:
+    """The masks of many images in one ranking by confidence; equal ones by area."""
+
+    true_positive: Bool[np.ndarray, "threshold mask"]
+    ignored: Bool[np.ndarray, "threshold mask"]
+    image_of_mask: Int[np.ndarray, " mask"]
+    num_instances: Int[np.ndarray, " image"]
+
+
 def average_precision(images: Iterable[ImageMatches]) -> InstanceAp:
     """AP over the masks of all images in one ranking by confidence; equal ones by area."""
+    return average_precision_of(ranked_masks(images))
+
+
+def ranked_masks(images: Iterable[ImageMatches]) -> RankedMasks:
+    """All masks of some images in the order in which AP counts them."""
     images = list(images)
-    num_instances = sum(image.num_instances for image in images)
-    num_masks = sum(len(image.scores) for image in images)
+    counts = [len(image.scores) for image in images]
+    scores = np.concatenate([np.zeros(0), *(image.scores for image in images)])
+    areas = np.concatenate([np.zeros(0), *(image.areas for image in images)])
+    order = np.lexsort((-areas, -scores))
+    none = np.zeros((len(IOU_THRESHOLDS), 0), dtype=bool)
+    return RankedMasks(
+        np.concatenate([none, *(image.true_positive for image in images)], axis=1)[:, order],
+        np.concatenate([none, *(image.ignored for image in images)], axis=1)[:, order],
+        np.repeat(np.arange(len(images)), counts)[order],
+        np.array([image.num_instances for image in images], dtype=np.int64),
+    )
+
+
+def average_precision_of(
+    masks: RankedMasks, times: Int[np.ndarray, " image"] | None = None
+) -> InstanceAp:
+    """AP of masks that are ranked.
+
+    Args:
+        masks: Of some images.
+        times: How often each image counts, as where images are drawn with replacement; None: once.
+    """
+    true_positive, ignored = masks.true_positive, masks.ignored
+    num_instances = int(masks.num_instances.sum())
+    if times is not None:
+        of_mask = times[masks.image_of_mask]
+        true_positive = np.repeat(true_positive, of_mask, axis=1)
+        ignored = np.repeat(ignored, of_mask, axis=1)
+        num_instances = int(masks.num_instances @ times)
+    num_masks = true_positive.shape[1]
     if num_instances == 0:
         return InstanceAp(np.nan, np.nan, np.nan, 0, num_masks)
-    scores = np.concatenate([image.scores for image in images])
-    areas = np.concatenate([image.areas for image in images])
-    order = np.lexsort((-areas, -scores))
-    true_positive = np.concatenate([image.true_positive for image in images], axis=1)[:, order]
-    ignored = np.concatenate([image.ignored for image in images], axis=1)[:, order]
     each = [
         _interpolated(hits[~out], num_instances)
         for hits, out in zip(true_positive, ignored, strict=True)
