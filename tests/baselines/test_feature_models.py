@@ -19,7 +19,7 @@ from instok3d.baselines.feature_files import (
 from instok3d.baselines.feature_method import FeatureMethod
 from instok3d.baselines.feature_scene import FeatureScene, render_scene
 from instok3d.baselines.pixel_features import PixelFeatureConfig
-from instok3d.baselines.query_gaussians import QueryGaussianConfig, mean_distance
+from instok3d.baselines.query_gaussians import QueryGaussianConfig
 from instok3d.data.sample import Sample, photos_only
 from instok3d.errors import MissingWeightsError
 from instok3d.evaluation.methods import Method, Shown
@@ -133,7 +133,44 @@ def test_queries_are_in_the_unit_of_the_points(sample):
     torch.testing.assert_close(second.scales, 3 * first.scales)
     unknown = geometry.pointmaps.clone()
     unknown[0, 0, 0, 0] = torch.nan
-    assert mean_distance(replace(geometry, pointmaps=unknown)).isfinite().all()
+    third = model(views, None, replace(geometry, pointmaps=unknown)).gaussians
+    assert third.means.isfinite().all()
+
+
+def test_queries_stay_within_reach_of_their_starts(sample):
+    model, geometry = made("c3g-style"), true_geometry(sample)
+    with torch.no_grad():
+        model.out.weight.mul_(1000)
+    unit = geometry.pointmaps.norm(dim=-1).mean()
+    scene = model(photos_only(sample.context), None, geometry)
+    away = (scene.gaussians.means[0] / unit - model.starts).abs()
+    assert away.max() <= model.config.reach * 1.0001
+    assert away.max() > 0.9 * model.config.reach
+
+
+def test_queries_attend_at_the_start_to_what_lies_near(sample):
+    model, geometry = made("c3g-style"), true_geometry(sample)
+    positions = model.fusion(photos_only(sample.context), geometry).positions[0]
+    with torch.no_grad():
+        alike = model._places(model.starts) @ model._places(positions).T
+        query, key = model.layers[0].attention.query, model.layers[0].attention.key_value
+        assert torch.equal(query.weight, key.weight[: len(query.weight)])
+    distance = torch.cdist(model.starts.detach(), positions)
+    near, far = distance < 0.5 * model.config.near, distance > 3 * model.config.near
+    most = model._places(model.starts).detach().square().sum(dim=1).mean()
+    assert near.any()
+    assert alike[near].mean() > 0.6 * most
+    assert alike[far].mean().abs() < 0.1 * most
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"initial_opacity": 0.0}, {"initial_opacity": 1.0}, {"reach": 0.0}, {"near": -1.0},
+     {"width": 63}],
+)  # fmt: skip
+def test_sizes_of_queries_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        QueryGaussianConfig(**wrong)
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -5,9 +5,11 @@ to each other; each becomes one Gaussian. A second stream of values goes through
 weights and lifts what a 2D encoder says of the patches into the queries; its loss moves nothing
 else, so that both can be learned in one run.
 
-Deviations: queries start spread over what the first camera may see and not at one point, which at
-the length of our runs would not unfold; lengths are in mean distances of the predicted points, as
-the nano backbone has no unit.
+Deviations, without which it does not unfold at the length of our runs (docs/log.md, 2026-11-30):
+queries start spread over what the first camera may see and not at one point, and stay near their
+start; patches also know colours and predicted points, as ours do (`ContextFusion`); patches and
+queries know where they lie, and attend at first to what is near. Lengths are in mean distances of
+the predicted points, as the nano backbone has no unit.
 """
 
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from torch.nn import functional
 
 from instok3d.backbones.base import GeometryBackbone
 from instok3d.baselines.feature_scene import FeatureScene
+from instok3d.model.context import ContextFusion
 from instok3d.model.transformer import Attention
 from instok3d.semantics.model import at_patches
 from instok3d.types import Gaussians, Geometry, Views
@@ -39,8 +42,15 @@ class QueryGaussianConfig:
     """Channels of an attention head; C3G has 128."""
     encoder_channels: int = 256
     """D, of the 2D encoder; LSeg has 512."""
-    initial_scale: float = 0.05
+    initial_scale: float = 0.04
     """Standard deviation of a Gaussian at the start."""
+    initial_opacity: float = 0.3
+    """Half transparent ones in front would hide those behind them, which then learn nothing."""
+    reach: float = 0.2
+    """Farthest that a Gaussian lies from the start of its query along each axis; unbounded, those
+    that leave the view together never come back."""
+    near: float = 0.2
+    """Places that far from each other are unlike for attention at the start."""
     scale_max: float = 0.5
     """Largest standard deviation."""
 
@@ -53,10 +63,19 @@ class QueryGaussianConfig:
                 f"initial_scale must be above 0 and at most scale_max={self.scale_max}, got "
                 f"{self.initial_scale}"
             )
+        if not 0 < self.initial_opacity < 1:
+            raise ValueError(f"initial_opacity must be in (0, 1), got {self.initial_opacity}")
+        for name in ("reach", "near"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.width % 2:
+            raise ValueError(f"width must be even, got {self.width}")
 
 
-NEAREST, FARTHEST, SPREAD = 0.3, 1.8, 0.7
+NEAREST, FARTHEST, SPREAD = 0.45, 1.7, 0.7
 """Where queries start: between these depths, and sideways by up to so much of the depth."""
+PLACE_GAIN, QUERY_GAIN = 0.7, 0.5
+"""Of the features of places, and of what else a query is at the start, in its token."""
 SIZES = [3, 3, 4, 1, 3]
 """Offset, logarithm of the scale, quaternion, opacity, colour."""
 
@@ -72,10 +91,11 @@ class QueryGaussians(nn.Module):
         self.config = config
         self.backbone = backbone
         width = config.width
-        self.project = nn.Sequential(
-            nn.LayerNorm(backbone.feature_channels), nn.Linear(backbone.feature_channels, width)
+        self.fusion = ContextFusion(
+            backbone.feature_channels, width, patch_size=backbone.patch_size
         )
-        self.queries = nn.Parameter(torch.randn(config.num_queries, width))
+        self.queries = nn.Parameter(QUERY_GAIN * torch.randn(config.num_queries, width))
+        self.frequencies = nn.Parameter(torch.randn(3, width // 2) / config.near)
         self.starts = nn.Parameter(_starts(config.num_queries))
         self.layers = nn.ModuleList(
             QueryLayer(width, config.head_size) for _ in range(config.layers)
@@ -86,7 +106,7 @@ class QueryGaussians(nn.Module):
         self.lifts = nn.ModuleList(LiftLayer(width) for _ in range(config.layers))
         self.lift_norm = nn.LayerNorm(width)
         self.expand = nn.Linear(width, config.encoder_channels, bias=False)
-        nn.init.normal_(self.out.weight, std=0.02)
+        nn.init.normal_(self.out.weight, std=0.005)
         nn.init.zeros_(self.out.bias)
 
     def forward(
@@ -97,9 +117,11 @@ class QueryGaussians(nn.Module):
     ) -> FeatureScene:
         """See `FeatureModel`; without what the encoder says there are no features."""
         seen: Geometry = self.backbone(views) if geometry is None else geometry
-        patches = self.project(seen.features.flatten(1, 2))
-        queries = self.queries.expand(len(patches), -1, -1)
-        tokens = torch.cat([patches, queries.to(patches.dtype)], dim=1)
+        context = self.fusion(views, seen)
+        with torch.autocast(context.tokens.device.type, enabled=False):
+            patches = context.tokens.float() + self._places(context.positions)
+            queries = self.queries + self._places(self.starts)
+        tokens = torch.cat([patches, queries.expand(len(patches), -1, -1)], dim=1)
         stream = None if encoded is None else self._sources(views, encoded, tokens)
         for layer, lift in zip(self.layers, self.lifts, strict=True):
             if stream is not None:
@@ -110,8 +132,13 @@ class QueryGaussians(nn.Module):
         if stream is not None:
             features = self.lift_norm(stream[:, -self.config.num_queries :]).float()
         with torch.autocast(raw.device.type, enabled=False):
-            gaussians = self._gaussians(raw.float(), mean_distance(seen))
+            gaussians = self._gaussians(raw.float(), context.scale)
         return FeatureScene(gaussians, features, self.expand.weight, seen)
+
+    def _places(self, points: Float[Tensor, "*of 3"]) -> Float[Tensor, "*of channel"]:
+        """Random Fourier features: their product falls with the distance of two points."""
+        angles = points @ self.frequencies
+        return PLACE_GAIN * torch.cat([angles.cos(), angles.sin()], dim=-1)
 
     def _sources(
         self,
@@ -130,16 +157,17 @@ class QueryGaussians(nn.Module):
         self, raw: Float[Tensor, "batch query number"], scale: Float[Tensor, " batch"]
     ) -> Gaussians:
         offsets, scales, quats, opacities, colors = raw.split(SIZES, dim=-1)
+        reach, opacity = self.config.reach, self.config.initial_opacity
         whole = scale[:, None, None]
         least, most = log(1e-4), log(self.config.scale_max)
         logs = (log(self.config.initial_scale) + scales).clamp(least, most)
         upright = quats.new_tensor([1.0, 0, 0, 0])
         index = torch.arange(raw.shape[1], device=raw.device)
         return Gaussians(
-            means=(self.starts + offsets) * whole,
+            means=(self.starts + reach * torch.tanh(offsets / reach)) * whole,
             quats=functional.normalize(quats + upright, dim=-1),
             scales=logs.exp() * whole,
-            opacities=torch.sigmoid(opacities[..., 0]),
+            opacities=torch.sigmoid(opacities[..., 0] + log(opacity / (1 - opacity))),
             sh=colors[..., None, :],
             anchor_index=index.expand(raw.shape[:2]),
         )
@@ -152,6 +180,9 @@ class QueryLayer(nn.Module):
         super().__init__()
         self.attention_norm = nn.LayerNorm(width)
         self.attention = Attention(width, head_size=head_size)
+        with torch.no_grad():  # at the start a token attends to those that are like it
+            nn.init.orthogonal_(self.attention.query.weight)
+            self.attention.key_value.weight[:width] = self.attention.query.weight
         self.mlp = _mlp(width)
 
     def forward(
@@ -195,15 +226,6 @@ class LiftLayer(nn.Module):
         gathered = functional.scaled_dot_product_attention(query, key, value)
         stream = stream + self.out(gathered.transpose(1, 2).flatten(2))
         return stream + self.mlp(stream)
-
-
-def mean_distance(geometry: Geometry) -> Float[Tensor, " batch"]:
-    """Of the points of each scene from the first camera; those that are not finite do not count."""
-    points = geometry.pointmaps.float()
-    known = points.isfinite().all(dim=-1)
-    distances = torch.where(known, points.norm(dim=-1), 0.0)
-    count = known.flatten(1).sum(dim=1).clamp_min(1)
-    return (distances.flatten(1).sum(dim=1) / count).clamp_min(1e-6)
 
 
 def _starts(count: int) -> Float[Tensor, "query 3"]:
