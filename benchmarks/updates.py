@@ -5,7 +5,8 @@
 `instok3d tables` gives its trainings equal time by the seconds of an update that
 `tables/trainings.py` states. Here all trainings take turns in one process on one thread, an update
 each, so that other work on the machine slows all of them alike. Each reads the batches of its own
-preset, from the backbone of the default model, other weights random. The first round is not
+preset, from the backbone of the default model, or all of it where a training begins with a
+tokenizer; other weights are random. The first round is not
 counted. Printed are the mean processor seconds of an update with its batch, their standard error,
 and both over those of the tokenizer.
 """
@@ -24,7 +25,7 @@ from instok3d.data.batches import SceneBatches
 from instok3d.datasets.opening import open_training_scenes
 from instok3d.model.files import DEFAULT_MODEL
 from instok3d.semantics.query.shipped import SHIPPED
-from instok3d.tables.trainings import JOINT, SEMANTICS, TRAININGS, Schedule, config_of
+from instok3d.tables.trainings import JOINT, TRAININGS, Schedule, config_of
 from instok3d.training.cache.features import of_backbone
 from instok3d.training.checkpoint import read_weights
 from instok3d.training.distributed import SharedLoss
@@ -75,7 +76,7 @@ def _stepper(name: str, data: Path, folder: Path) -> Callable[[], None]:
     torch.manual_seed(0)
     model = stage.build_model()
     weights = read_weights(DEFAULT_MODEL)
-    if name != SEMANTICS:  # theirs is a frozen tokenizer
+    if TRAININGS[name].after is None:  # others begin with a whole tokenizer
         inner = of_backbone(weights)
         weights = {f"backbone.{key}": value for key, value in inner.items()}
     stage.load_initial(model, weights)
