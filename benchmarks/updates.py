@@ -6,9 +6,8 @@
 `tables/trainings.py` states. Here all trainings take turns in one process on one thread, an update
 each, so that other work on the machine slows all of them alike. Each reads the batches of its own
 preset, from the backbone of the default model, or all of it where a training begins with a
-tokenizer; other weights are random. The first round is not
-counted. Printed are the mean processor seconds of an update with its batch, their standard error,
-and both over those of the tokenizer.
+tokenizer; other weights are random. The first round is not counted. Printed are the mean processor
+seconds of an update with its batch, their standard error, and both over the tokenizer's mean.
 """
 
 import time

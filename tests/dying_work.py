@@ -5,6 +5,8 @@ import signal
 import time
 from pathlib import Path
 
+from patience import SECONDS
+
 
 def work(job: tuple[int, Path]) -> tuple[int, int]:
     """Number and process; 3 fails, 4 dies once, 5 dies always, after 4 died.
@@ -14,7 +16,9 @@ def work(job: tuple[int, Path]) -> tuple[int, int]:
     number, folder = job
     if number == 3:
         raise ValueError("three is refused")
+    end = time.monotonic() + SECONDS
     while number == 5 and not (folder / "4 began").exists():
+        assert time.monotonic() < end, "4 never began"
         time.sleep(0.01)
     mark = folder / f"{number} began"
     if number == 5 or (number == 4 and not mark.exists()):

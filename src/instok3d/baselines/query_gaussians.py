@@ -5,7 +5,7 @@ to each other; each becomes one Gaussian. A second stream of values goes through
 weights and lifts what a 2D encoder says of the patches into the queries; its loss moves nothing
 else, so that both can be learned in one run.
 
-Deviations, without which it does not unfold at the length of our runs (docs/log.md, 2026-11-30):
+Deviations, with which it begins to unfold within minutes (docs/log.md, 2026-11-30):
 queries start spread over what the first camera may see and not at one point, and stay near their
 start; patches also know colours and predicted points, as ours do (`ContextFusion`); patches and
 queries know where they lie, and attend at first to what is near. Lengths are in mean distances of
@@ -45,7 +45,7 @@ class QueryGaussianConfig:
     initial_scale: float = 0.04
     """Standard deviation of a Gaussian at the start."""
     initial_opacity: float = 0.3
-    """Half transparent ones in front would hide those behind them, which then learn nothing."""
+    """Of a Gaussian at the start."""
     reach: float = 0.2
     """Farthest that a Gaussian lies from the start of its query along each axis; unbounded, those
     that leave the view together never come back."""

@@ -11,7 +11,9 @@ from instok3d.evaluation.scores import SceneScore
 
 RESAMPLES = 100
 PICTURES = ("psnr", "ssim", "lpips")
+"""Figures that are means over target views."""
 MASKS = ("ap", "ap50", "ap25")
+"""Figures of one ranking of the masks of all target views."""
 
 
 @dataclass(frozen=True)
